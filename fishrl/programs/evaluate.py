@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import PositiveInt
 
-from fishrl.programs.live import LiveCallback
+from fishrl.programs.live import LiveView
 from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
 from fishrl.settings import describe
@@ -36,7 +36,7 @@ class EvaluateConfig(PolicySettings, ViewerSettings):
 
 def evaluate(config: EvaluateConfig, *, progress: Callback = SILENT) -> dict[str, Any]:
     """Run one episode from each of the fixed starts, and return the result with its policy."""
-    live = LiveCallback(config, num_flows=min(config.num_envs, config.episodes))
+    live = LiveView(config, num_flows=min(config.num_envs, config.episodes))
     result = run_evaluation(
         config.source,
         task=config.task,

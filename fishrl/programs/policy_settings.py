@@ -91,13 +91,12 @@ class PolicySettings(TaskSettings):
 
 
 def read_task(given: Node) -> Node:
-    """Return task and recognition of the ``run`` or ``checkpoint`` that is given.
+    """Return task and recognition of the ``checkpoint`` that is given.
 
     The task is left out where the command line, ``given``, names a task or a preset.
     """
     policy = str(given.get("policy"))
-    source = given.get("run") or given.get("checkpoint")
-    source = policy if policy.startswith(PREFIX) else source
+    source = policy if policy.startswith(PREFIX) else given.get("checkpoint")
     if source is None:
         return {}
     path, metadata = read_metadata(str(source))

@@ -21,7 +21,6 @@ import os
 import re
 import shlex
 import shutil
-import signal
 import sys
 import sysconfig
 import traceback
@@ -40,7 +39,7 @@ from fishrl.envs import AbstractTask
 from fishrl.programs.configuration import CommandLine, split_options
 from fishrl.settings import REQUIRED, TARGET, Settings, build, describe, list_fields, to_plain
 from fishrl.settings.plain import list_classes
-from fishrl.training.interruption import exit_status, list_heeded
+from fishrl.training.interruption import exit_status, handling_signals
 
 #: Layout of the lines of the help.
 _WIDTH: dict[str, Any] = {"width": 100, "initial_indent": "  ", "subsequent_indent": " " * 8}
@@ -201,17 +200,6 @@ def show_command(program: str, *arguments: str) -> str:
     else:
         start = ["fishrl" if is_active else str(folder / "fishrl"), program]
     return shlex.join([*start, *arguments])
-
-
-@contextmanager
-def handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Handle Ctrl-C and SIGTERM; a signal that is ignored, as with ``nohup``, stays so."""
-    before = {number: signal.signal(number, handle) for number in list_heeded()}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def interrupt(number: int, frame: FrameType | None) -> NoReturn:

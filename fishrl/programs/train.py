@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 from fishrl.envs.episodes import Policy
 from fishrl.programs.configuration import quote
 from fishrl.programs.figures.run_pictures import record_run
-from fishrl.programs.live import LiveCallback
+from fishrl.programs.live import LiveView
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import sweep
 from fishrl.programs.sweeps.runs import show_modules, show_resume
@@ -30,7 +30,7 @@ from fishrl.training.progress import Progress
 from fishrl.training.runs import begin, complete
 
 
-class RunCallback(LiveCallback):
+class RunCallback(LiveView):
     """The live view of a run, and its pictures at the end."""
 
     def __init__(self, config: TrainConfig, progress: Callback) -> None:
@@ -81,9 +81,9 @@ def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> 
         if not path.name.startswith("."):
             print(f"  {path}")
     has_recording = (folder / "capture.rrd").is_file()
-    viewed = [str(folder)] if has_recording else [f"run={quote(str(folder))}", *modules]
-    evaluated = [f"checkpoint={quote(str(folder))}", *modules]
-    print(f"\nevaluate: {show_command('evaluate', *evaluated)}")
+    policy = [f"checkpoint={quote(str(folder))}", *modules]
+    viewed = [str(folder)] if has_recording else policy
+    print(f"\nevaluate: {show_command('evaluate', *policy)}")
     print(f"view: {show_command('view', *viewed)}")
 
 

@@ -34,7 +34,6 @@ class TransferSettings(TaskSettings):
         baselines: policies to compare with; see ``trials.make_trial``.
         recognition: source of the labels of all runs instead of their own: ``oracle``, the file of
             a classifier or ``zoo/<name>``.
-        samples_actions: sample the actions of stochastic policies (SAC, PPO), as in training.
         free_episodes: episodes in each stream without the half disc, held by a PID controller,
             whose work is compared with that of the first policy; 0 for none.
         folder: folder for tables, figures and histories.
@@ -46,7 +45,6 @@ class TransferSettings(TaskSettings):
     periods: PositiveFloat = trials.PERIODS
     baselines: tuple[str, ...] = ("pid", "pid+policy", "bang_bang", "shedding")
     recognition: str | None = None
-    samples_actions: bool = False
     free_episodes: NonNegativeInt = 0
     folder: str = "runs/transfer"
 
@@ -70,7 +68,6 @@ def transfer(
             trial,
             episodes=settings.episodes,
             folder=folder,
-            samples_actions=settings.samples_actions,
             progress=progress,
         )
         arms.setdefault(trial.arm, []).append(flows)
@@ -97,7 +94,6 @@ def transfer(
         "arms": combined,
         "trials": alone,
         "episodes": settings.episodes,
-        "samples_actions": settings.samples_actions,
         "free_stream": free,
     }
     write_json(folder / "transfer.json", results)

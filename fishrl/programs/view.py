@@ -1,4 +1,4 @@
-"""Show what a policy does, in the rerun viewer: ``fishrl view run=runs/<name>``.
+"""Show what a policy does, in the rerun viewer: ``fishrl view checkpoint=runs/<name>``.
 
 ``policy=pid preset=gait_small`` shows a baseline, ``live=true`` streams while it runs, ``save=``
 writes a recording or a film, ``screenshot=`` a picture; a path alone opens a recording that exists.
@@ -40,7 +40,6 @@ class ViewConfig(PolicySettings, ViewerSettings):
 
     Args:
         recording: a ``.rrd`` file, or a run folder with one, to open as it is.
-        run: run folder of the policy to show.
         episodes: fixed starts, one flow each, of which ``flows`` are shown; all by default.
         periods: T after which an episode is cut; ``null`` runs it to its end.
         save: file to write: a recording ``.rrd``, by default one in the temporary folder, or a film
@@ -50,7 +49,6 @@ class ViewConfig(PolicySettings, ViewerSettings):
     """
 
     recording: str | None = None
-    run: str | None = None
     episodes: PositiveInt = 1
     periods: PositiveFloat | None = 20.0
     save: str | None = None
@@ -82,14 +80,8 @@ class ViewConfig(PolicySettings, ViewerSettings):
 
     @property
     def sources(self) -> dict[str, str | None]:
-        """Add ``run`` and ``recording``."""
-        recording = {"the path of a .rrd file": self.recording}
-        return {"run=<run folder>": self.run} | recording | super().sources
-
-    @property
-    def learned(self) -> str | None:
-        """Where the learned policy lies, if it is no baseline."""
-        return self.run or super().learned
+        """Add ``recording``."""
+        return {"the path of a .rrd file": self.recording} | super().sources
 
 
 def record(

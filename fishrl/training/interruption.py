@@ -4,7 +4,7 @@ import logging
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -33,17 +33,24 @@ def exit_status(end: KeyboardInterrupt) -> int:
     return 128 + (int(end.args[0]) if end.args else signal.SIGINT)
 
 
-class Interruption:
-    """Remembers a signal until the next ``check``; a second one ends at once.
+@contextmanager
+def handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Handle Ctrl-C and SIGTERM in the main thread; an ignored one, as with ``nohup``, stays so."""
+    is_main = threading.current_thread() is threading.main_thread()
+    before = {n: signal.signal(n, handle) for n in (list_heeded() if is_main else ())}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
-    As a context in the main thread it handles the signals of the process, except ignored ones;
-    ``request`` needs none.
-    """
+
+class Interruption:
+    """Remembers a signal until the next ``check``; a second one ends at once."""
 
     def __init__(self) -> None:
         self._number: int | None = None
         self._received = 0.0
-        self._before: dict[signal.Signals, object] = {}
 
     def request(self, number: int = signal.SIGTERM) -> None:
         """Request an end at the next ``check``."""
@@ -54,17 +61,8 @@ class Interruption:
         if self._number is not None:
             raise Interrupted(self._number)
 
-    def __enter__(self) -> "Interruption":
-        is_main = threading.current_thread() is threading.main_thread()
-        for number in list_heeded() if is_main else ():
-            self._before[number] = signal.signal(number, self._handle)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)  # type: ignore[arg-type]
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
+    def handle(self, number: int, frame: FrameType | None) -> None:
+        """Remember a signal that was received, see ``handling_signals``."""
         if self._number is not None:
             if number == self._number and time.monotonic() - self._received < TWICE_SECONDS:
                 return

@@ -15,13 +15,13 @@ import torch
 from tensordict import TensorDictBase
 
 from fishrl.envs.agents import split_fish
-from fishrl.envs.episodes import Episodes, Policy, name_counted
+from fishrl.envs.episodes import Episodes, Policy, name_counted, run_episodes
 from fishrl.settings import describe
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
 from fishrl.training.collector import RNGState, make_collector
-from fishrl.training.evaluation import FINAL_SEED, SELECTION_SEED, TRAIN_SEED, evaluate_in
+from fishrl.training.evaluation import FINAL_SEED, SELECTION_SEED, TRAIN_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from fishrl.training.learner import one_thread
 from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
@@ -220,11 +220,19 @@ class Training:
         return metrics
 
     def evaluate(self, policy: Policy, num: int, *, seed: int, is_counted: bool = True) -> Episodes:
-        """Evaluate in the flows of training, and leave these as they were; see ``evaluate_in``."""
-        options: dict[str, Any] = {"callbacks": self.callbacks, "is_counted": is_counted}
+        """Run one episode from each of ``num`` fixed starts, and leave the flows as they were.
+
+        A learned policy acts greedily; callbacks count the episodes if ``is_counted``.
+        """
         try:
             with self.collector.lend_env() as env:
-                return evaluate_in(env, self._make_interruptible(policy), num, seed=seed, **options)
+                return run_episodes(
+                    env,
+                    self._make_interruptible(policy),
+                    fixed_starts(self.task, num, seed=seed),
+                    on_step=lambda start_of, step: self.callbacks.on_step(step),
+                    on_episodes=self.callbacks.on_progress if is_counted else None,
+                )
         finally:
             self.callbacks.on_new_episodes()
 

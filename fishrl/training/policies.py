@@ -8,13 +8,13 @@ from typing import Any
 from tensordict.nn import TensorDictModuleBase
 
 from fishrl.envs import AbstractTask, make_env
-from fishrl.envs.episodes import Policy
+from fishrl.envs.episodes import Policy, run_episodes
 from fishrl.envs.transforms import equip
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import load_checkpoint, read_metadata
 from fishrl.training.classifier import Recognition, find_classifier, load_recognition
-from fishrl.training.evaluation import evaluate_in
+from fishrl.training.evaluation import fixed_starts
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import check_device
@@ -138,7 +138,13 @@ def evaluate(
     try:
         called.on_begin(env)
         called.on_phase("evaluation", total=episodes)
-        return evaluate_in(env, act, episodes, seed=seed, callbacks=called).metrics()
+        return run_episodes(
+            env,
+            act,
+            fixed_starts(task, episodes, seed=seed),
+            on_step=lambda start_of, step: called.on_step(step),
+            on_episodes=called.on_progress,
+        ).metrics()
     finally:
         called.on_close()
         env.close()

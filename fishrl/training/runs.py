@@ -14,6 +14,7 @@ from fishrl.training.callback import Callback
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.classifier import Recognition, keep_recognition
 from fishrl.training.continuation import continue_as, find_result, find_run, read_result
+from fishrl.training.interruption import handling_signals
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
 from fishrl.training.plan import Plan
@@ -148,7 +149,8 @@ def complete(training: Training) -> dict[str, Any]:
     before the next checkpoint, ``ChildProcessError`` is raised.
     """
     folder, resumed_at = training.folder, None
-    with training.interruption as interruption:
+    interruption = training.interruption
+    with handling_signals(interruption.handle):
         while True:
             try:
                 with folder.noting_failure(), closing(training):

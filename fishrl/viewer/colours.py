@@ -3,23 +3,12 @@
 from math import floor, log10
 
 import numpy as np
+from matplotlib import colormaps
 from numpy.typing import NDArray
 
-#: ColorBrewer RdBu, from -1 (blue) over 0 (white) to 1 (red).
-RED_BLUE = (
-    (5, 48, 97), (33, 102, 172), (67, 147, 195), (146, 197, 222), (209, 229, 240), (247, 247, 247),
-    (253, 219, 199), (244, 165, 130), (214, 96, 77), (178, 24, 43), (103, 0, 31),
-)  # fmt: skip
-#: ColorBrewer PRGn, from -1 (purple) over 0 (white) to 1 (green).
-PURPLE_GREEN = (
-    (64, 0, 75), (118, 42, 131), (153, 112, 171), (194, 165, 207), (231, 212, 232), (247, 247, 247),
-    (217, 240, 211), (166, 219, 160), (90, 174, 97), (27, 120, 55), (0, 68, 27),
-)  # fmt: skip
-#: ColorBrewer YlGnBu with white at its lower end, from 0 (white) to 1 (dark blue).
-WHITE_BLUE = (
-    (255, 255, 255), (237, 248, 177), (199, 233, 180), (127, 205, 187), (65, 182, 196),
-    (29, 145, 192), (34, 94, 168), (37, 52, 148), (8, 29, 88),
-)  # fmt: skip
+#: Colour maps of matplotlib: from blue over white to red, from purple over white to green, and from
+#: white to blue.
+RED_BLUE, PURPLE_GREEN, WHITE_BLUE = "RdBu_r", "PRGn", "Blues"
 #: Colours of lines in plots, by Okabe and Ito, which colour-blind readers can distinguish.
 LINES = (
     (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (230, 159, 0),
@@ -27,7 +16,6 @@ LINES = (
 )  # fmt: skip
 
 _NICE_STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0)
-Table = tuple[tuple[int, int, int], ...]
 
 
 def quantise(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
@@ -37,12 +25,10 @@ def quantise(values: NDArray[np.float32], low: float, high: float) -> NDArray[np
     return levels
 
 
-def paint(levels: NDArray[np.uint8], table: Table) -> NDArray[np.uint8]:
-    """Return the colours ``[..., 3]`` of levels."""
+def paint(levels: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
+    """Return the colours ``[..., 3]`` of levels in a colour map."""
     at = np.clip((np.arange(256) - 1) / 254.0, 0.0, 1.0)
-    position = np.linspace(0.0, 1.0, len(table))
-    colours = np.stack([np.interp(at, position, c) for c in zip(*table, strict=True)], 1)
-    painted: NDArray[np.uint8] = np.round(colours).astype(np.uint8)[levels]
+    painted: NDArray[np.uint8] = colormaps[name](at, bytes=True)[:, :3][levels]
     return painted
 
 

@@ -12,12 +12,11 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
 
-from fishrl.envs.scene import Field, Frame, Scene
+from fishrl.envs.scene import Frame, Scene
 from fishrl.viewer.colours import RED_BLUE, WHITE_BLUE, round_up, space_ticks
 from fishrl.viewer.recording import Recording
 
@@ -78,12 +77,6 @@ def fit_colours(recording: Recording) -> Scene:
     return scene.choose_field(scene.field.key, limit=choose_limit(recording))
 
 
-def make_colours(field: Field) -> LinearSegmentedColormap:
-    """Return the colours of a field."""
-    table = np.array(RED_BLUE if field.is_signed else WHITE_BLUE) / 255.0
-    return LinearSegmentedColormap.from_list(field.key, table)
-
-
 class FlowAxes:
     """One set of axes that shows a scene's field, bodies, goal and paths, frame by frame.
 
@@ -98,8 +91,8 @@ class FlowAxes:
         edges = (-0.5 / length, (x - 0.5) / length, -0.5 / length, (y - 0.5) / length)
         self.image = axes.imshow(
             np.zeros((y, x)), extent=edges, origin="lower",
-            cmap=make_colours(scene.field), vmin=scene.field.low, vmax=scene.field.limit,
-            interpolation="bilinear",
+            cmap=RED_BLUE if scene.field.is_signed else WHITE_BLUE,
+            vmin=scene.field.low, vmax=scene.field.limit, interpolation="bilinear",
         )  # fmt: skip
         self.paths = {
             trail.key: axes.plot([], [], color=FISH, linewidth=0.9, linestyle=(0, (4, 2)))[0]

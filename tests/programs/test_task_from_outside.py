@@ -73,7 +73,7 @@ def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
     evaluate.main([*given, "modules=my_learning", folder])
     assert json.loads(saved.read_text())["task"] == "HoldStation"
     forget(monkeypatch)
-    view.main([f"run={run}", trusted, "compile=false", "periods=1", f"save={run / 'x.rrd'}"])
+    view.main([f"checkpoint={run}", trusted, "compile=false", "periods=1", f"save={run / 'x.rrd'}"])
     assert (run / "x.rrd").is_file()
     forget(monkeypatch)
     train.main([f"resume={run}", trusted, "total_frames=12"])

@@ -22,7 +22,7 @@ from fishrl.training.run_folder import RunFolder, write_yaml
 
 PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
     "evaluate": (evaluate.main, ("checkpoint={run}", "task.time_limit=3", "compile=false")),
-    "view": (view.main, ("run={run}", "save={run}/x.rrd", "compile=false")),
+    "view": (view.main, ("checkpoint={run}", "save={run}/x.rrd", "compile=false")),
     "resume": (train.main, ("resume={run}",)),
     "train": (train.main, ("task=karman_gait", "folder={run}/..", "name=run")),
     "sweep": (train.main, ("--multirun", "task=karman_gait", "folder={run}/..")),

@@ -13,6 +13,7 @@ from fishrl.training.interruption import (
     Interrupted,
     Interruption,
     exit_status,
+    handling_signals,
     ignore_signals_in_children,
 )
 
@@ -21,7 +22,7 @@ from fishrl.training.interruption import (
 def test_second_signal_ends_a_run_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     interruption, before = Interruption(), signal.getsignal(signal.SIGINT)
     interruption.check()
-    with interruption:
+    with handling_signals(interruption.handle):
         signal.raise_signal(signal.SIGTERM)
         signal.raise_signal(signal.SIGTERM)  # the same twice at once counts as one
         with pytest.raises(KeyboardInterrupt):
@@ -39,7 +40,8 @@ def test_second_signal_ends_a_run_at_once(monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.usefixtures("heeds_ctrl_c")
 def test_ignored_signals_stay_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with Interruption() as interruption:
+    interruption = Interruption()
+    with handling_signals(interruption.handle):
         signal.raise_signal(signal.SIGINT)
         interruption.check()
     assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
@@ -47,7 +49,7 @@ def test_ignored_signals_stay_ignored() -> None:
 
 def test_outside_the_main_thread_signals_are_left_alone() -> None:
     def enter() -> None:
-        with Interruption():
+        with handling_signals(Interruption().handle):
             pass
 
     with ThreadPoolExecutor() as pool:

@@ -12,7 +12,8 @@ import torch
 
 from fishrl.envs import Predation, make_env
 from fishrl.envs.scene import Frame
-from fishrl.viewer import Drawing, LiveView, Server, ViewerSettings, start_drawing
+from fishrl.programs.live import LiveView
+from fishrl.viewer import Drawing, Server, ViewerSettings, start_drawing
 from fishrl.viewer import process as process_module
 from fishrl.viewer.process import HOST, Viewer, find_port
 from tests.envs.conftest import SMALL
@@ -95,8 +96,9 @@ class Shown:
         self.task = Predation(**SMALL, time_limit=2)
         checks = self.task.checks_per_action
         self.env = make_env(task=self.task, num_envs=2, compile=False, frames_per_action=checks)
-        settings = ViewerSettings(flows=[1], port=port, live_share=share, frames_per_T=5)
-        self.live = LiveView(self.env, settings)
+        settings = ViewerSettings(live=True, flows=[1], port=port, live_share=share, frames_per_T=5)
+        self.live = LiveView(settings, num_flows=2)
+        self.live.on_begin(self.env)
         self.state = self.env.reset()
         self.frames: list[Frame] = []
 
@@ -104,7 +106,7 @@ class Shown:
         for _ in range(num):
             action = self.state.set("action", torch.ones(2, dtype=torch.int64))
             step, self.state = self.env.step_and_maybe_reset(action)
-            self.live.settle(step)
+            self.live.on_step(step)
 
 
 @pytest.fixture
@@ -114,8 +116,7 @@ def shown(monkeypatch: pytest.MonkeyPatch, kinematic: None) -> Iterator[Shown]:
         Drawing, "draw", lambda drawing, flow, frame: shown.frames.append(frame) or None
     )
     yield shown
-    if shown.env.base_env.on_frame is not None:
-        shown.live.close()
+    shown.live.on_close()
 
 
 def test_episodes_share_one_clock(shown: Shown) -> None:
@@ -126,7 +127,7 @@ def test_episodes_share_one_clock(shown: Shown) -> None:
     begins = [frame.time for frame in shown.frames if frame.begins]
     assert len(begins) == 3 and begins[1] == pytest.approx(2.2, abs=0.1)
     assert {"action", "reward", "action_mask"} <= set(shown.frames[0].values)
-    shown.live.close()
+    shown.live.on_close()
     assert shown.env.base_env.on_frame is None  # the env is as it was
 
 
@@ -137,7 +138,7 @@ def test_resting_rows_and_restarts_leave_no_frames(shown: Shown) -> None:
     shown.act()
     assert len(shown.frames) == num_frames
     shown.env.base_env.is_resting = torch.tensor([False, False])
-    shown.live.restart()
+    shown.live.on_new_episodes()
     shown.state = shown.env.reset()
     shown.act()
     assert shown.frames[num_frames].begins
@@ -149,8 +150,8 @@ def test_frames_beyond_the_share_of_wall_time_are_left_out(
     shown: Shown, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = [0.0]
-    monkeypatch.setattr("fishrl.viewer.live.time.monotonic", lambda: clock[0])
-    shown.live.close()
+    monkeypatch.setattr("fishrl.programs.live.time.monotonic", lambda: clock[0])
+    shown.live.on_close()
     shown = Shown(port=29680, share=0.25)
     frames: list[Frame] = []
 
@@ -163,7 +164,7 @@ def test_frames_beyond_the_share_of_wall_time_are_left_out(
     for _ in range(25):
         clock[0] += 2.0
         shown.act()
-    shown.live.close()
+    shown.live.on_close()
     # 50 s of flow, and a quarter of all the time for frames of 1 s each
     assert len(frames) == pytest.approx(50.0 / 3.0, abs=2.0)
 

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.envs.utils import ExplorationType
 
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.episodes import count_decisions, run_episodes
@@ -148,9 +147,9 @@ def name_arm(task: KarmanGait, recognition: Any) -> str:
 def make_trial(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Trial:
     """Return the trial of a baseline, which is given the true flow label.
 
-    Names are those of ``make_baseline``, and ``passive``, ``shedding`` (the shedding frequency of
-    each flow) or ``fixed-0.6`` (0.6 beats per T), regardless of the task's rows; with ``+policy``
-    appended, the learned heading controller steers.
+    Names are those of ``make_baseline``; ``passive`` and ``shedding`` (the shedding frequency of
+    each flow), regardless of the task's rows; with ``+policy`` appended, the learned heading
+    controller steers.
     """
     task = replace(task, reads_flow_class=False)
     kind = name.removesuffix("+policy")
@@ -162,8 +161,6 @@ def make_trial(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Tria
         rates = [0.0]
     elif kind == "shedding":
         rates = list_shedding(task)
-    elif kind.startswith("fixed-"):
-        rates = [float(kind.removeprefix("fixed-"))]
     if rates:
         most = task.control.max_frequency
         if not all(rate <= most for rate in rates):
@@ -191,14 +188,13 @@ def run_trial(
     *,
     episodes: int,
     folder: Path,
-    samples_actions: bool = False,
     progress: Callback = SILENT,
 ) -> list[Histories]:
     """Run ``episodes`` from fixed starts in each flow, or read them from the folder if it can."""
     task, flows = trial.task, len(trial.task.stream.speeds_bl)
     sources = hash_sources(*_SOURCES)
     versions = (sources, torch.__version__)
-    key = make_key(task, trial.identity, episodes, samples_actions, FRAMES, *versions)
+    key = make_key(task, trial.identity, episodes, FRAMES, *versions)
     path = folder / "histories" / f"{trial.name}-{key}.pt"
     if path.is_file():
         kept = load_tensors(
@@ -209,7 +205,7 @@ def run_trial(
     # the same noses, phases and keys in each flow for every policy
     starts = torch.cat([starts[:episodes]] * flows)
     starts["flow_index"] = torch.arange(flows).repeat_interleave(episodes)
-    histories = record(trial, starts, samples_actions=samples_actions, progress=progress)
+    histories = record(trial, starts, progress=progress)
     path.parent.mkdir(parents=True, exist_ok=True)
     with staged(path) as stage:
         torch.save(histories._asdict(), stage)
@@ -220,7 +216,6 @@ def record(
     trial: Trial,
     starts: TensorDictBase,
     *,
-    samples_actions: bool = False,
     progress: Callback = SILENT,
 ) -> Histories:
     """Run one episode from each start ``[E]``, all side by side."""
@@ -232,7 +227,6 @@ def record(
         transforms=make_labelling(task, trial.recognition),
     )
     base = env.base_env
-    torch.manual_seed(0)  # of sampled actions
     progress.on_phase(trial.name, total=task.time_limit)
 
     def read_place() -> dict[str, Tensor]:
@@ -258,7 +252,6 @@ def record(
         env,
         trial.make_policy(),
         starts,
-        exploration=ExplorationType.RANDOM if samples_actions else ExplorationType.DETERMINISTIC,
         on_begin=lambda start_of, state: read_place() | read_frame(start_of, base),
         on_step=read_decision,
         on_frame=read_frame,

@@ -39,7 +39,6 @@ class LateralLineSettings(CollectionSettings, FitSettings):
         reads: features of the task's lateral line that it reads; by default all but time and
             position.
         hidden: widths of its hidden layers.
-        is_recurrent: read the window sample by sample with a GRU.
         noise: noise added to the training signals, as a share of each feature's standard deviation.
         is_mirrored: fit on the mirror image of each sample too.
         max_samples: samples to fit on at most; by default all.
@@ -53,7 +52,6 @@ class LateralLineSettings(CollectionSettings, FitSettings):
     hidden: tuple[PositiveInt, ...] = (128, 128)
     batch_size: int = 256
     patience: int | None = 15
-    is_recurrent: bool = False
     weight_decay: float = 1e-3
     noise: NonNegativeFloat = 0.5
     is_mirrored: bool = True
@@ -81,7 +79,6 @@ class LateralLineSettings(CollectionSettings, FitSettings):
             task=replace(task, lateral_line=line),
             window=1,
             reads=PAPER,
-            is_recurrent=False,
             noise=0.0,
             is_mirrored=False,
             max_samples=self.num_samples,
@@ -182,7 +179,6 @@ def fit(settings: LateralLineSettings, episodes: TensorDict) -> Fit:
         features=settings.reads,
         num_samples=settings.num_read,
         hidden=settings.hidden,
-        is_recurrent=settings.is_recurrent,
         generator=generator,
     )
     classifier.set_normalisation(training["lateral_line"])

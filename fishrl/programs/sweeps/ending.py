@@ -11,8 +11,7 @@ from types import FrameType
 
 import psutil
 
-from fishrl.programs.program import handling_signals
-from fishrl.training.interruption import list_heeded
+from fishrl.training.interruption import handling_signals, list_heeded
 
 logger = logging.getLogger(__name__)
 

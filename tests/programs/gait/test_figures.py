@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from fishrl.envs import make_env
+from fishrl.envs import KarmanGait, make_env
+from fishrl.envs.macro_actions import DirectFrequencies
+from fishrl.envs.streams import Stream
 from fishrl.programs.gait import figures, trials
-from tests.programs.real_wake import make_gait
+from tests.envs.test_real_wake import STREAM, TINY
 
 
 def test_period_is_drawn_even_if_the_episodes_end_before_it(
@@ -17,7 +19,13 @@ def test_period_is_drawn_even_if_the_episodes_end_before_it(
 ) -> None:
     monkeypatch.setattr(figures, "make_env", partial(make_env, compile=False))
     monkeypatch.setattr(trials, "START_X_BL", (0.8, 0.9))
-    task = make_gait(tmp_path, has_disc=False)  # no wake to develop
+    task = KarmanGait(
+        **TINY,
+        control_interval_T=0.2,  # the stream carries a fish from start to danger in 0.7 T
+        start_flows=(0,),
+        control=DirectFrequencies(frequencies=(0.5, 1.25, 2.0)),
+        stream=Stream(**STREAM, speeds_bl=(1.5,), has_disc=False),  # no wake to develop
+    )
     trial = trials.make_trial("bang_bang", task, periods=4.0)
     for name, lead_T in (("period", 0.2), ("ended", 3.0)):
         path = tmp_path / f"{name}.png"

@@ -89,16 +89,15 @@ def test_trial_is_recorded_again_only_if_its_inputs_change(
     assert count(replace(trial, identity="other weights")) == 1
     assert count(make_trial("bang_bang", make_task(repeats_frequency=True), periods=BRIEF)) == 2
     assert count(trial, episodes=2) == 3
-    assert count(trial, samples_actions=True) == 4
     monkeypatch.setattr(trials, "hash_sources", lambda *_: "other code")
-    assert count(trial) == 5
+    assert count(trial) == 4
     for path in tmp_path.glob("histories/*.pt"):
         path.write_bytes(b"not a file")
     with pytest.raises(ValueError, match="cannot be read; delete the file"):
         count(trial)
 
 
-@pytest.mark.parametrize("name", ["pid+pd", "fixed-99", "shedding"])
+@pytest.mark.parametrize("name", ["pid+pd", "shedding"])
 def test_impossible_baselines_are_refused(name: str) -> None:
     free = make_task(stream=Stream(has_disc=False))
     with pytest.raises(ValueError, match="baseline"):
@@ -115,7 +114,7 @@ def test_baselines_of_constant_frequency_beat_at_it(
     monkeypatch.setattr("fishrl.envs.streams.load_wakes", lambda *_: bank)
     task = make_task()
     shed = (rates * task.scales.period).tolist()
-    for name, expected in (("passive", [0.0] * 3), ("shedding", shed), ("fixed-0.6", [0.6] * 3)):
+    for name, expected in (("passive", [0.0] * 3), ("shedding", shed)):
         trial = make_trial(name, task, periods=BRIEF)
         flows = run_trial(trial, episodes=1, folder=tmp_path)
         assert [float(flow.frequency[0, 0]) for flow in flows] == pytest.approx(expected)
