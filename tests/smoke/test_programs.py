@@ -161,9 +161,7 @@ def test_learned_policy_is_shown_and_exported(predation_run: Path, tmp_path: Pat
     data = ["name=catches-v0", f"folder={tmp_path / 'data'}", "episodes=1", "num_envs=1"]
     _run("export-data", *few, *data)
     assert (tmp_path / "data/catches-v0/data/main_data.hdf5").is_file()
-    _run(
-        "view", f"checkpoint={predation_run}", f"save={tmp_path / 'flow.rrd'}", "periods=1", *EAGER
-    )
+    _run("view", *few, f"save={tmp_path / 'flow.rrd'}", "periods=1")
     assert (tmp_path / "flow.rrd").is_file()
 
 
