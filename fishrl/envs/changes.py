@@ -35,21 +35,17 @@ class StreamChanges(Settings, ABC):
         """Slowest and fastest speed that a change leads to, L / T."""
 
     @abstractmethod
-    def count(self, duration_T: float) -> int:
-        """Return the number of changes in an episode of ``duration_T``."""
-
-    @abstractmethod
     def list_times(self, num: int) -> list[float]:
         """Return when the first ``num`` changes begin, in T."""
 
     @abstractmethod
-    def draw_speeds(self, first: Tensor, key: Tensor, num: int) -> Tensor:
-        """Return the speeds ``[E, num]`` that the changes lead to, L / T, float64.
+    def draw_speeds(self, first: Tensor, key: Tensor, duration_T: float) -> Tensor:
+        """Return the speeds ``[E, K]`` that the K changes of an episode lead to, L / T, float64.
 
         Args:
             first: ``[E]`` speed at the start, L / T.
             key: ``[E]`` int64, key of the episode.
-            num: number of changes.
+            duration_T: duration of the episode.
         """
 
 
@@ -82,18 +78,14 @@ class StreamSteps(StreamChanges):
         """Slowest and fastest of the speeds."""
         return min(self.speeds_bl), max(self.speeds_bl)
 
-    def count(self, duration_T: float) -> int:
-        """Return ``len(times_T)``; the duration does not matter."""
-        return len(self.times_T)
-
     def list_times(self, num: int) -> list[float]:
         """Return the times."""
         return list(self.times_T[:num])
 
-    def draw_speeds(self, first: Tensor, key: Tensor, num: int) -> Tensor:
-        """Return the speeds."""
+    def draw_speeds(self, first: Tensor, key: Tensor, duration_T: float) -> Tensor:
+        """Return the speeds, regardless of the duration."""
         speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=key.device)
-        return speeds[:num].expand(len(key), num).clone()
+        return speeds.expand(len(key), -1).clone()
 
 
 class RandomChanges(StreamChanges):
@@ -113,13 +105,14 @@ class RandomChanges(StreamChanges):
                 "the next one begins; raise interval_T or lower ramp_T"
             )
 
-    def count(self, duration_T: float) -> int:
-        """Return how many begin before the end of the episode."""
-        return ceil(duration_T / self.interval_T - 1e-9) - 1
-
     def list_times(self, num: int) -> list[float]:
         """Return multiples of the interval."""
         return [self.interval_T * (k + 1) for k in range(num)]
+
+    def _draw_chances(self, key: Tensor, duration_T: float) -> Tensor:
+        """Return a uniform number ``[E, K]`` for each change before the end of the episode."""
+        num = ceil(duration_T / self.interval_T - 1e-9) - 1
+        return draw_uniform(_DRAW, key, torch.zeros_like(key), num)
 
 
 class StreamSwitches(RandomChanges):
@@ -141,10 +134,10 @@ class StreamSwitches(RandomChanges):
         """Slowest and fastest of the speeds."""
         return min(self.speeds_bl), max(self.speeds_bl)
 
-    def draw_speeds(self, first: Tensor, key: Tensor, num: int) -> Tensor:
+    def draw_speeds(self, first: Tensor, key: Tensor, duration_T: float) -> Tensor:
         """Draw each speed from those that differ from the speed before."""
         speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=key.device)
-        chances = draw_uniform(_DRAW, key, torch.zeros_like(key), num)
+        chances = self._draw_chances(key, duration_T)
         drawn, now = [], first.double()
         for chance in chances.unbind(-1):
             is_other = speeds != now[:, None]
@@ -182,9 +175,9 @@ class StreamWalk(RandomChanges):
         """The limits."""
         return self.low_bl, self.high_bl
 
-    def draw_speeds(self, first: Tensor, key: Tensor, num: int) -> Tensor:
+    def draw_speeds(self, first: Tensor, key: Tensor, duration_T: float) -> Tensor:
         """Draw the walk; a start beyond the limits is moved to the nearer one first."""
-        changes = self.step_bl * (2.0 * draw_uniform(_DRAW, key, torch.zeros_like(key), num) - 1.0)
+        changes = self.step_bl * (2.0 * self._draw_chances(key, duration_T) - 1.0)
         drawn, now = [], first.double().clamp(self.low_bl, self.high_bl)
         for change in changes.unbind(-1):
             now = now + change

@@ -95,8 +95,7 @@ class Stream(Settings):
         if self.changes is None:
             return {}
         first = torch.tensor(self.speeds_bl, dtype=torch.float64, device=flow.device)[flow]
-        num = self.changes.count(duration_T)
-        return {"stream_speeds": self.changes.draw_speeds(first, key, num)}
+        return {"stream_speeds": self.changes.draw_speeds(first, key, duration_T)}
 
 
 class AbstractStreamTask(AbstractTask):

@@ -170,12 +170,13 @@ class PredictedFlowLabel(FlowLabelTransform):
         """Return the probabilities ``[B, n]`` given all signals of the episode so far."""
         log_prob = self.machine(now[self.in_keys[0]]).float().log_softmax(-1)
         if begins is None:
-            evidence = self._predict(self.memory * self.evidence) + log_prob
+            belief = self.memory * self.evidence  # before this signal
+            if rate := self.switching_rate:
+                belief = ((1.0 - rate) * belief.softmax(-1) + rate / self.num_flows).log()
+            self.evidence = belief + log_prob
         else:
-            evidence = torch.where(begins.unsqueeze(-1), log_prob, self.evidence)
-        self.evidence = evidence
-        probabilities: Tensor = evidence.softmax(-1)
-        return probabilities
+            self.evidence = torch.where(begins.unsqueeze(-1), log_prob, self.evidence)
+        return self.evidence.softmax(-1)
 
     def choose_label(self, probabilities: Tensor) -> Tensor:
         """Return the most probable label ``[B]``, int64, or the mean of all, float32."""
@@ -188,21 +189,11 @@ class PredictedFlowLabel(FlowLabelTransform):
         """Also let the label lie between two flows where it is the mean."""
         spec: Any = super().transform_observation_spec(observation_spec)
         if self.interpolates:
+            most, device = self.num_flows - 1.0, spec["flow_class"].device
             spec["flow_class"] = Bounded(
-                0.0,
-                self.num_flows - 1.0,
-                shape=spec.shape,
-                dtype=torch.float32,
-                device=spec["flow_probabilities"].device,
+                0.0, most, shape=spec.shape, dtype=torch.float32, device=device
             )
         return spec
-
-    def _predict(self, evidence: Tensor) -> Tensor:
-        """Return the logarithm of what is believed ``[B, n]`` before the next signal."""
-        if self.switching_rate == 0.0:
-            return evidence
-        rate = self.switching_rate
-        return ((1.0 - rate) * evidence.softmax(-1) + rate / self.num_flows).log()
 
 
 class TrueFlowLabel(FlowLabelTransform):

@@ -117,9 +117,14 @@ def _plot_fish(key: str, label: str, num_fish: int, *, is_rate: bool = False) ->
     """Return a line for each fish."""
     if num_fish == 1:
         return (Series(key=key, label=label, is_rate=is_rate),)
+    labels = [f"{label}, fish {i}" for i in range(num_fish)]
+    return _plot_columns(key, labels, is_rate=is_rate)
+
+
+def _plot_columns(key: str, labels: Sequence[str], *, is_rate: bool = False) -> tuple[Series, ...]:
+    """Return a line for each column of a tensor."""
     return tuple(
-        Series(key=key, label=f"{label}, fish {i}", column=i, is_rate=is_rate)
-        for i in range(num_fish)
+        Series(key=key, column=i, label=label, is_rate=is_rate) for i, label in enumerate(labels)
     )
 
 
@@ -127,25 +132,21 @@ def _describe_actions(
     names: tuple[str, ...], *, is_continuous: bool, num_fish: int
 ) -> tuple[Panel | Choice, ...]:
     """Return the plots of the actions: one for each fish, or one of all continuous numbers."""
-    if not is_continuous:
-        if num_fish == 1:
-            return (Choice(names=names),)
-        title = Choice(names=names).name
-        return tuple(
-            Choice(names=names, fish=i, name=f"fish {i}: {title}") for i in range(num_fish)
-        )
-    labels = names
-    if num_fish > 1:
-        labels = tuple(f"fish {i}: {name}" for i in range(num_fish) for name in names)
-    series = tuple(Series(key="action", column=i, label=name) for i, name in enumerate(labels))
-    return (
-        Panel(
+    owners = [f"fish {i}: " for i in range(num_fish)] if num_fish > 1 else [""]
+    if is_continuous:
+        labels = [owner + name for owner in owners for name in names]
+        panel = Panel(
             name="action, from the least (−1) to the largest (1)",
-            series=series,
+            series=_plot_columns("action", labels),
             span=(-1.1, 1.1),
             is_step=True,
             is_output=True,
-        ),
+        )
+        return (panel,)
+    if num_fish == 1:
+        return (Choice(names=names),)
+    return tuple(
+        Choice(names=names, fish=i, name=owner + Choice.name) for i, owner in enumerate(owners)
     )
 
 
@@ -243,18 +244,18 @@ def describe_lateral_line(line: LateralLine, *, body_length: float) -> tuple[Mar
         unit=unit,
         limit=limit,
     )
-    series = tuple(Series(key="signal", column=i, label=name) for i, name in enumerate(names))
+    series = _plot_columns("signal", names)
     return marks, Panel(name=f"{feature} at neuromasts [{unit}]", series=series)
 
 
 def describe_flow_label(names: Sequence[str]) -> Panel:
     """Return a plot of the probabilities that a transform gives to flows of these names."""
-    series = tuple(
-        Series(key="flow_probabilities", column=index, label=name)
-        for index, name in enumerate(names)
-    )
     return Panel(
-        name="class probabilities", series=series, span=(-0.05, 1.05), is_step=True, is_output=True
+        name="class probabilities",
+        series=_plot_columns("flow_probabilities", names),
+        span=(-0.05, 1.05),
+        is_step=True,
+        is_output=True,
     )
 
 
