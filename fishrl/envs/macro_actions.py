@@ -36,22 +36,6 @@ Rising = AfterValidator(_check_rising)
 _Row = Annotated[tuple[NonNegativeFloat, ...], Field(min_length=2), Rising]
 
 
-class FrequencyBank(Settings):
-    """Tail-beat frequencies, one row per flow.
-
-    Args:
-        rows: tail beats per T, rising within each row; all rows have the same length, at least two.
-    """
-
-    rows: Annotated[tuple[_Row, ...], Field(min_length=1)] = DEFAULT_ROWS
-
-    def __post_init__(self) -> None:
-        if len({len(row) for row in self.rows}) > 1:
-            raise ValueError(
-                f"rows have {[len(row) for row in self.rows]} frequencies: give all the same number"
-            )
-
-
 class FrequencyControl(Settings, ABC):
     """Map actions to tail-beat frequencies.
 
@@ -126,17 +110,19 @@ class MacroActions(FrequencyControl):
     whole numbers interpolates between the frequencies of their rows.
 
     Args:
-        bank: the frequencies.
+        rows: tail beats per T, rising, one row per flow, all of the same length.
     """
 
     action_names: ClassVar[tuple[str, ...]] = ("decelerate", "cruise", "accelerate")
 
-    bank: FrequencyBank = FrequencyBank()
+    rows: Annotated[tuple[_Row, ...], Field(min_length=1)] = DEFAULT_ROWS
 
-    @property
-    def rows(self) -> tuple[tuple[float, ...], ...]:
-        """Rows of the frequency bank."""
-        return self.bank.rows
+    def __post_init__(self) -> None:
+        if len({len(row) for row in self.rows}) > 1:
+            raise ValueError(
+                f"rows have {[len(row) for row in self.rows]} frequencies: give all the same number"
+            )
+        super().__post_init__()
 
     @property
     def num_flows(self) -> int:
@@ -186,7 +172,7 @@ class ContinuousFrequency(FrequencyControl):
 
     Args:
         frequency_range: least and largest frequency, tail beats per T; by default the
-            range of the whole bank of the macro-actions.
+            range of all rows of the macro-actions.
     """
 
     frequency_range: Annotated[tuple[NonNegativeFloat, NonNegativeFloat], Rising] = (0.25, 2.6)

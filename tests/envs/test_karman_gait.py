@@ -10,7 +10,7 @@ from torchrl.envs import check_env_specs
 
 from fishrl.envs import FlowEnv, KarmanGait, make_env
 from fishrl.envs.lateral_line import LateralLine
-from fishrl.envs.macro_actions import FrequencyBank, MacroActions
+from fishrl.envs.macro_actions import MacroActions
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, PolicySteering
 from fishrl.envs.streams import Stream
@@ -19,13 +19,12 @@ from tests.envs.conftest import SMALL, act, make_flows, reset_rows
 pytestmark = pytest.mark.usefixtures("kinematic")
 
 ROWS = ((0.5, 1.0, 1.5), (0.6, 1.1, 1.6), (0.7, 1.2, 1.7))
-BANK = FrequencyBank(rows=ROWS)
 DECELERATE, CRUISE, ACCELERATE = range(3)
 
 
 def make_task(**arguments: Any) -> KarmanGait:
     settings = {"wall_margin_bl": 0.25, "control_interval_T": 1.0, "checks_per_action": 25}
-    return KarmanGait(**{**SMALL, **settings, "control": MacroActions(bank=BANK), **arguments})
+    return KarmanGait(**{**SMALL, **settings, "control": MacroActions(rows=ROWS), **arguments})
 
 
 def begin(num_envs: int = 1, **arguments: Any) -> tuple[FlowEnv, TensorDict]:

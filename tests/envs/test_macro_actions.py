@@ -8,12 +8,11 @@ import torch
 from fishrl.envs.macro_actions import (
     ContinuousFrequency,
     DirectFrequencies,
-    FrequencyBank,
     MacroActions,
 )
 
 ROWS = ((0.5, 1.0, 1.5, 2.0), (0.75, 1.25, 1.75, 2.25), (1.0, 1.5, 2.0, 3.0))
-MACRO = MacroActions(bank=FrequencyBank(rows=ROWS))
+MACRO = MacroActions(rows=ROWS)
 DIRECT = DirectFrequencies(frequencies=(0.0, 1.0, 2.5))
 
 
@@ -44,9 +43,9 @@ def test_continuous_action_is_the_frequency() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: FrequencyBank(rows=((1, 2), (1, 2, 3))), r"have \[2, 3\] frequencies: give all"),
-        (lambda: FrequencyBank(rows=((2.0, 1.0),)), "must be rising"),
-        (lambda: MacroActions(bank=MACRO.bank, first_gear=4), "first_gear = 4: .*0 to 3"),
+        (lambda: MacroActions(rows=((1, 2), (1, 2, 3))), r"have \[2, 3\] frequencies: give all"),
+        (lambda: MacroActions(rows=((2.0, 1.0),)), "must be rising"),
+        (lambda: MacroActions(rows=ROWS, first_gear=4), "first_gear = 4: .*0 to 3"),
         (
             lambda: ContinuousFrequency(frequency_range=(2.0, 1.0)),
             "frequency_range = .*must be rising",

@@ -37,7 +37,7 @@ CHANGES = [
     "task.stream.has_disc=false",
     "task.safe_area.far_bl=3.75",
     "task.safe_area={near_bl:0.1}",
-    "task.control.bank.rows=[[0.1,2.1],[0.1,2.1],[0.1,2.1]]",
+    "task.control.rows=[[0.1,2.1],[0.1,2.1],[0.1,2.1]]",
     "task.start_flows=[2]",
     "task.time_limit=7",
 ]
@@ -53,7 +53,7 @@ def test_settings_of_the_task_that_are_not_given_stay_as_in_the_run(tmp_path: Pa
     assert chosen.body_length == 32  # another task replaces that of the run
     own["stream"]["has_disc"] = False
     own["safe_area"] |= {"far_bl": 3.75, "near_bl": 0.1}
-    own["control"]["bank"]["rows"] = [[0.1, 2.1]] * 3
+    own["control"]["rows"] = [[0.1, 2.1]] * 3
     own["start_flows"], own["time_limit"] = [2], 7
     assert describe(changed) == own
 

@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict
 
 from fishrl.envs.lateral_line import KNOWN, LateralLine
-from fishrl.envs.macro_actions import FrequencyBank, MacroActions
+from fishrl.envs.macro_actions import MacroActions
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.tasks import KarmanGait
@@ -26,7 +26,7 @@ def make_task(*, speeds: tuple[float, ...] = (1.0, 1.5), **changes: Any) -> Karm
         "domain_bl": (5.0, 2.4),
         "stream": Stream(speeds_bl=speeds, has_disc=False, face_bl=1.0),
         "start_flows": (0, 1),
-        "control": MacroActions(bank=FrequencyBank(rows=((0.5, 1.0, 1.5), (1.0, 1.25, 1.5)))),
+        "control": MacroActions(rows=((0.5, 1.0, 1.5), (1.0, 1.25, 1.5))),
         "start_x_bl": (1.0, 1.2),
         "safe_area": SafeArea(far_bl=2.5),
         "lateral_line": LateralLine(num_neuromasts=3, num_samples=INTERVAL),
