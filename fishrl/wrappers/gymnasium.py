@@ -257,11 +257,8 @@ class FlowVectorEnv(VectorEnv):
         final = np.full(self.num_envs, None, dtype=object)
         for row in rows.nonzero()[0]:
             final[row] = observations[row]
-        last = {  # zeros in other rows
-            name: np.where(rows.reshape(-1, *(1,) * (value.ndim - 1)), value, np.zeros_like(value))
-            for name, value in self._read_reported(state).items()
-        }
-        return _with_rows({"final_obs": final, "final_info": _with_rows(last, rows)}, rows)
+        last = _with_rows(self._read_reported(state), rows)
+        return _with_rows({"final_obs": final, "final_info": last}, rows)
 
     def _read_reported(self, state: TensorDictBase) -> dict[str, Array]:
         reported = {name: _row_wise(state[name]) for name in self._reported}

@@ -1,4 +1,4 @@
-"""Tasks of other kinds than the library's: with masks, with history, with two fish."""
+"""Tasks of other kinds than the library's: with masks, with two fish."""
 
 from math import pi
 from typing import Any, ClassVar
@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs import AbstractTask, Command, HasFlowLabels, HasHistory
+from fishrl.envs import AbstractTask, Command, HasFlowLabels
 
 
 class GoLeft(AbstractTask):
@@ -65,37 +65,6 @@ class MaskedTask(GoLeft):
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         return {"beats": now["frequency"] * self.scales.period}
-
-
-class MemoryTask(GoLeft, HasHistory):
-    """0 straight on, 1 turn by the hint; sum up the actions."""
-
-    num_samples: ClassVar[int] = 4
-    inputs: ClassVar[tuple[str, ...]] = ("hint",)
-
-    def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        return Command(action * before["hint"].double())
-
-    def sense(self, solver: Any, starts: TensorDictBase) -> dict[str, Tensor]:
-        return {"trace": solver.markers()[:, :3, 0] / self.body_length}
-
-    def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
-        return {"total": torch.zeros_like(now["x"]), "way": torch.zeros_like(now["x"])}
-
-    def remember(
-        self, before: TensorDictBase, action: Tensor, now: TensorDictBase
-    ) -> dict[str, Tensor]:
-        return {"total": before["total"] + action, "way": before["x"] - now["x"]}
-
-    def observe(self, now: TensorDictBase) -> Tensor:
-        return torch.stack((now["x"], now["total"]), -1).float()
-
-    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        way: Tensor = now["way"]
-        return way
-
-    def report(self, now: TensorDictBase) -> dict[str, Tensor]:
-        return {"trace": now["trace"].float(), "total": now["total"]}
 
 
 class PairTask(GoLeft):

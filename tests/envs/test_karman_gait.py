@@ -41,6 +41,12 @@ def close(*values: float) -> Any:
     return pytest.approx(values, abs=0.01)
 
 
+def place_nose(env: FlowEnv, row: int, x: float, y: float = 0.0) -> None:
+    """Move a fish that faces upstream to a place, in body lengths from the disc's flat side."""
+    place = torch.tensor([20.0 * x + env.task.fish.centre, 20.0 * y])
+    env.solver.body.position[row] = torch.tensor(env.task.origin) + place
+
+
 def test_stream_follows_the_start_of_each_row() -> None:
     env, _ = begin(3)
     unit = env.task.scales.reference_speed
@@ -142,6 +148,38 @@ def test_lateral_line_is_a_series_over_the_interval(
     assert layout["interval_T"] == pytest.approx(interval_T / 4, abs=0.01)
 
 
+@pytest.mark.parametrize(("x", "is_first"), [(0.7, False), (0.42, True)])
+def test_last_sample_is_repeated_after_a_row_terminates(
+    monkeypatch: pytest.MonkeyPatch, x: float, is_first: bool
+) -> None:
+    """The nose reaches x = 0.4 L within the action, or before the first sample.
+
+    Rows that share a launch move on after their end; what they sense then is ignored.
+    """
+    env, _ = begin(2, lateral_line=LateralLine(num_samples=4, features=("t",)))
+    advance = env.solver.advance_
+    monkeypatch.setattr(env.solver, "advance_", lambda num, rows: advance(num))
+    place_nose(env, 1, x)
+    after = act(env, CRUISE, CRUISE)
+    assert after["terminated"].squeeze(-1).tolist() == [False, True]
+    times = after["lateral_line"][:, :, 0, 0]
+    swims, ends = times.diff(dim=1)
+    assert (swims > 0).all()
+    assert (ends[0] > 0).item() == (not is_first) and ends[-1] == 0
+    ended_T = env.now["age"][1].item() / env.task.scales.period
+    assert not is_first or times[1, 0].item() == pytest.approx(ended_T)
+
+
+def test_memory_persists_between_decisions_and_restarts_with_its_row() -> None:
+    env, _ = begin(2)
+    assert act(env, ACCELERATE, DECELERATE)["gear"].squeeze(-1).tolist() == [2, 0]
+    kept = env.now.clone()
+    reset_rows(env, True, False)
+    assert env.now["gear"].tolist() == [1, 0]
+    assert (env.now[1] == kept[1]).all()
+    assert act(env, CRUISE, ACCELERATE)["gear"].squeeze(-1).tolist() == [1, 1]
+
+
 def test_resting_row_keeps_its_last_signal(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a GPU its flow continues, and may diverge."""
     env, before = begin(2)
@@ -187,8 +225,7 @@ def test_work_is_reported_in_its_unit_and_costs_reward_once() -> None:
 def test_danger_area_terminates_with_a_penalty(x: float, y: float) -> None:
     steering = PIDSteering(gain=0.0, integral_gain=0.0)
     env, _ = begin(steering=steering, reward_terms=StationReward(rim_weight=0.0))
-    place = 20 * torch.tensor([[x + env.task.fish.centre / 20, y]])
-    env.solver.body.position.copy_(torch.tensor(env.task.origin) + place)
+    place_nose(env, 0, x, y)
     if y:
         env.solver.body.heading.add_(-0.4 if y > 0 else 0.4)  # and outwards
     after = act(env, CRUISE)
