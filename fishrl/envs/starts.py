@@ -1,7 +1,5 @@
 """Starts of fish: from nose positions to bodies, and checks that they fit into the domain."""
 
-from itertools import combinations
-
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -11,7 +9,6 @@ from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.geometry import locate_markers
-from fishrl.physics.placement import MIN_GAP, do_overlap
 
 
 def place_fish(starts: TensorDictBase, fish: BodyConfig) -> tuple[Tensor, Tensor]:
@@ -59,10 +56,7 @@ def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:
 
 
 def check_fit(starts: TensorDictBase, fish: BodyConfig, flow: FlowConfig, *, margin: float) -> None:
-    """Raise ValueError unless straight fish at starts keep ``margin`` nodes from the edges.
-
-    Several fish must also lie apart from each other.
-    """
+    """Raise ValueError unless straight fish at starts keep ``margin`` nodes from the edges."""
     outlines = place_outline(starts, fish)
     every = outlines.flatten(0, -3)
     clearance = compute_clearance(every, flow)
@@ -76,10 +70,3 @@ def check_fit(starts: TensorDictBase, fish: BodyConfig, flow: FlowConfig, *, mar
             f"of it, {where}; it must keep {margin:g} nodes from the edges of [0, "
             f"{flow.width - 1}] x [0, {flow.height - 1}], move it in"
         )
-    for one, other in combinations(range(outlines.shape[1]) if outlines.dim() == 4 else (), 2):
-        is_wrong = do_overlap(outlines[:, one], outlines[:, other])
-        if is_wrong.any():
-            raise ValueError(
-                f"start {int(is_wrong.int().argmax())}: fish {one} and {other} overlap; move them "
-                f"apart, at least {MIN_GAP:g} node between their outlines"
-            )
