@@ -32,7 +32,7 @@ from fishrl.envs.checks import (
 from fishrl.envs.draws import draw_uniform
 from fishrl.envs.extensions import HasHistory, find_extension
 from fishrl.envs.schedule import make_schedule
-from fishrl.envs.specs import make_action_spec, make_observation_spec, make_reward_spec
+from fishrl.envs.specs import make_specs
 from fishrl.envs.task import AbstractTask
 from fishrl.physics.fast.solver import InPlaceSolver
 
@@ -171,10 +171,11 @@ class FlowEnv(EnvBase):
     def _make_specs(self) -> None:
         """Derive the specs from the task and a first measurement."""
         check_answers(self.task, self.now)
-        observed = make_observation_spec(self.task, self.now)
-        self.observation_spec_unbatched = observed.to(self.device)
-        self.full_action_spec_unbatched = make_action_spec(self.task).to(self.device)
-        self.full_reward_spec_unbatched = make_reward_spec(self.task).to(self.device)
+        observation, action, reward = (
+            spec.to(self.device) for spec in make_specs(self.task, self.now)
+        )
+        self.observation_spec_unbatched = observation
+        self.full_action_spec_unbatched, self.full_reward_spec_unbatched = action, reward
         flags = ("done", "terminated", "truncated")
         self.done_spec_unbatched = Composite(
             {name: Categorical(2, shape=(1,), dtype=torch.bool) for name in flags}

@@ -8,8 +8,11 @@ from fishrl.envs.agents import AGENTS
 from fishrl.envs.task import AbstractTask
 
 
-def make_observation_spec(task: AbstractTask, now: TensorDictBase) -> Composite:
-    """Return the spec of what an environment writes for one row, given a measurement ``[B]``."""
+def make_specs(task: AbstractTask, now: TensorDictBase) -> tuple[Composite, Composite, Composite]:
+    """Return the specs of one row's observation, action and reward, given a measurement ``[B]``.
+
+    An action is an index, or numbers in [-1, 1].
+    """
     reported = {
         name: Binary(shape[-1], shape=shape, dtype=torch.bool)
         if value.dtype == torch.bool
@@ -18,27 +21,18 @@ def make_observation_spec(task: AbstractTask, now: TensorDictBase) -> Composite:
         for shape in [tuple(value.shape[1:]) or (1,)]
     }
     own: dict[str, TensorSpec] = {"observation": Unbounded((task.n_obs,))}
+    action: TensorSpec = Bounded(-1.0, 1.0, shape=(task.num_actions,))
     if task.action_bounds is None:
         own["action_mask"] = Binary(task.num_actions, dtype=torch.bool)
-    return Composite(
+        action = Categorical(task.num_actions)
+    observation = Composite(
         diverged=Binary(1, dtype=torch.bool),
         start_index=Unbounded((), dtype=torch.int64),
         **reported,
         **_group(task, own),
     )
-
-
-def make_action_spec(task: AbstractTask) -> Composite:
-    """Return the spec of one row's actions: an index, or numbers in [-1, 1]."""
-    if task.action_bounds is None:
-        return Composite(_group(task, {"action": Categorical(task.num_actions)}))
-    numbers = Bounded(-1.0, 1.0, shape=(task.num_actions,))
-    return Composite(_group(task, {"action": numbers}))
-
-
-def make_reward_spec(task: AbstractTask) -> Composite:
-    """Return the spec of one row's rewards."""
-    return Composite(_group(task, {"reward": Unbounded((1,))}))
+    reward = Composite(_group(task, {"reward": Unbounded((1,))}))
+    return observation, Composite(_group(task, {"action": action})), reward
 
 
 def _group(task: AbstractTask, own: dict[str, TensorSpec]) -> dict[str, TensorSpec]:

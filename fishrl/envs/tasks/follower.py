@@ -123,13 +123,11 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
     @property
     def action_names(self) -> tuple[str, ...]:
         """Names of the numbers."""
-        names = (
-            "turn, {:g} to {:g}°",
-            "frequency, {:g} to {:g} beats/T",
-            "amplitude, {:g} to {:g}",
+        units = (("turn", "°"), ("frequency", " beats/T"), ("amplitude", ""))
+        return tuple(
+            f"{name}, {low:g} to {high:g}{unit}"
+            for (name, unit), (low, high) in zip(units, self.action_bounds, strict=False)
         )
-        bounds = self.action_bounds
-        return tuple(name.format(*own) for name, own in zip(names, bounds, strict=False))
 
     @property
     def max_frequency(self) -> float:
