@@ -2,9 +2,8 @@
 
 Runs that differ only in their seed form a group. Written into the folder: ``summary.md`` (mean
 and interquartile mean of each group with 95 % intervals, differences between groups paired by seed
-and probability of improvement, each run next to its baselines, the bias of selecting a checkpoint,
-and runs to repeat), ``summary.csv`` (every number of the summaries), ``runs.csv`` (each run) and
-``curves.png``.
+and probability of improvement, each run next to its baselines, and runs to repeat),
+``summary.csv`` (every number of the summaries), ``runs.csv`` (each run) and ``curves.png``.
 """
 
 from collections.abc import Sequence
@@ -39,8 +38,6 @@ COLUMNS = (
 COMPARED = COLUMNS[:3]
 #: Columns of each run, after the success rates of policy and baselines.
 EACH = (
-    ("in selection", "selection_rate", ".1%"),
-    ("last policy", "last_rate", ".1%"),
     ("return", "mean_return", ".1f"),
     ("time to success, T", "mean_time_to_success_T", ".1f"),
     ("frames", "frames", "d"),
@@ -71,7 +68,7 @@ def summarize(folder: Path, *, paths: Sequence[Path] | None = None) -> str:
     ``paths`` are the runs; by default all in the folder.
     """
     found = read_runs(folder) if paths is None else map(read_run, paths)
-    runs = [add_evaluations(run) for run in found]
+    runs = [add_curve_mean(run) for run in found]
     groups = group_runs(runs)
     if not groups:
         raise ValueError(f"{folder}: no run has begun\n{advise(runs)}")
@@ -80,7 +77,7 @@ def summarize(folder: Path, *, paths: Sequence[Path] | None = None) -> str:
     if finished:
         tables.append(describe_effort(finished))
         tables += [tabulate_differences(groups)] if len(groups) > 1 else []
-        tables += [tabulate_runs(finished), describe_selection(finished)]
+        tables.append(tabulate_runs(finished))
     text = "\n".join(tables)
     write_csv_files(groups, folder)
     panels = {
@@ -93,21 +90,13 @@ def summarize(folder: Path, *, paths: Sequence[Path] | None = None) -> str:
     return text + (f"\ncurves: {folder / 'curves.png'}\n" if has_curves else "")
 
 
-def add_evaluations(run: Run) -> Run:
-    """Add the evaluations during training to a run's summary.
-
-    ``curve_mean`` is their mean success rate, ``last_rate`` the rate of the last policy, and
-    ``selection_rate`` the rate for which the best checkpoint was selected.
-    """
+def add_curve_mean(run: Run) -> Run:
+    """Add ``curve_mean``, the mean success rate of the evaluations, to a run's summary."""
     if not run.summary or not run.frames:
         return run
-    frames, rates = read_metrics(run.path / "metrics.csv")["eval/success_rate"]
-    if not rates.size:
-        return run
-    added = {"curve_mean": float(rates.mean()), "last_rate": float(rates[-1])}
-    for rate in rates[frames == run.summary.get("best_checkpoint_frames")]:
-        added["selection_rate"] = float(rate)
-    return replace(run, summary={**run.summary, **added})
+    _, rates = read_metrics(run.path / "metrics.csv")["eval/success_rate"]
+    added = {"curve_mean": float(rates.mean())} if rates.size else {}
+    return replace(run, summary=run.summary | added)
 
 
 def average(group: Group, column: str, number: int = 0) -> Curve:
@@ -183,19 +172,6 @@ def tabulate_runs(finished: Sequence[Run]) -> str:
         cells = ("–" if value is None else format(value, form) for value, form in values)
         rows.append([run.path.name, *cells])
     return write_table(["run", *(head for head, _, _ in columns)], rows)
-
-
-def describe_selection(finished: Sequence[Run]) -> str:
-    """Describe by how much selection overestimates the best checkpoints, and the last ones."""
-    gains = []
-    for name in ("selection_rate", "last_rate"):
-        known = [run.summary for run in finished if is_number(run.summary.get(name))]
-        found = Statistic.of([each[name] - each["success_rate"] for each in known])
-        gains.append(found.show("+.1%"))
-    return (
-        "Selection bias, the success rate on the starts that select the checkpoint minus the final "
-        "one (mean over runs): {} for the selected checkpoint, {} for the last.\n".format(*gains)
-    )
 
 
 def write_csv_files(groups: Sequence[Group], folder: Path) -> None:

@@ -22,12 +22,11 @@ from fishrl.programs.sweeps.runs import show_modules, show_resume
 from fishrl.programs.train_settings import TRAINING, TrainConfig
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.checkpoint import read_metadata
-from fishrl.training.continuation import find_result
 from fishrl.training.evaluation import FINAL_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, exit_status
 from fishrl.training.loop import Training
 from fishrl.training.progress import Progress
-from fishrl.training.runs import begin, complete
+from fishrl.training.runs import begin, complete, find_result
 
 
 class RunCallback(LiveView):

@@ -15,7 +15,7 @@ from fishrl.envs.episodes import count_decisions
 from fishrl.envs.scene import Frame
 from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
-from fishrl.training.callback import SILENT, Callback
+from fishrl.training.callback import Callback
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 from fishrl.viewer import (
@@ -84,19 +84,13 @@ class ViewConfig(PolicySettings, ViewerSettings):
         return {"the path of a .rrd file": self.recording} | super().sources
 
 
-def record(
-    settings: ViewConfig, *, save: Path, url: str | None = None, progress: Callback = SILENT
-) -> str:
-    """Run a policy from fixed starts, draw its flows, and return the size of the recording.
-
-    The flows go to the file ``save`` and to the viewer's server at ``url``.
-    """
+def record(settings: ViewConfig, *, save: Path, url: str | None, progress: Callback) -> None:
+    """Run a policy from fixed starts; its flows go to a file, and to a viewer's server at a URL."""
     check_folder(save)
     flows = settings.shown
     task, recognition, policy = settings.make_policy()
     starts = fixed_starts(task, settings.episodes, seed=settings.seed)
     max_decisions = min(task.time_limit, count_decisions(task, settings.periods))
-    times: dict[int, list[float]] = {flow: [] for flow in flows}
     with ExitStack() as stack:
         env = settings.make_env(task, recognition, num_envs=len(flows), progress=progress)
         stack.callback(env.close)
@@ -111,7 +105,6 @@ def record(
             )
 
         def draw(start: int, frame: Frame) -> None:
-            times[flows[start]].append(frame.time)
             if drawing is None:
                 film.frames.append(frame)
             else:
@@ -130,13 +123,6 @@ def record(
         )
     if settings.is_film:
         write_film(film, save)
-    periods = sum(max(flow, default=0.0) for flow in times.values())
-    rate = sum(map(len, times.values())) / max(periods, 1e-9)
-    written = save.suffix[1:] if settings.is_film else settings.field_format
-    return (
-        f"{save.stat().st_size / 1e6:.2f} MB for {periods:.1f} T of {len(flows)} flows "
-        f"({written}, {rate:.1f} frames per T)"
-    )
 
 
 def wait_for_interrupt() -> None:
@@ -172,8 +158,9 @@ def main(settings: ViewConfig) -> None:
             server = stack.enter_context(Server(port=settings.port)) if settings.live else None
             with Progress() as progress:
                 url = None if server is None else server.url
-                size = record(settings, save=path, url=url, progress=progress)
-            print(f"{settings.save}: {size}" if settings.save else size)
+                record(settings, save=path, url=url, progress=progress)
+            if settings.save is not None:
+                print(f"written: {path}, {path.stat().st_size / 1e6:.2f} MB")
             if server is not None:
                 wait_for_interrupt()
         if settings.screenshot is not None:

@@ -22,12 +22,11 @@ from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.baselines import baseline, find_baselines
 from fishrl.training.callback import Callback
-from fishrl.training.continuation import find_result
 from fishrl.training.interruption import Interrupted
 from fishrl.training.plan import Plan
 from fishrl.training.policies import evaluate, load_plan, load_policy
 from fishrl.training.progress import Progress
-from fishrl.training.runs import begin, complete, make_folder, reopen, resume, train
+from fishrl.training.runs import begin, complete, find_result, make_folder, reopen, resume, train
 from fishrl.training.settings import LearningSettings, RunSettings
 
 __all__ = [

@@ -137,7 +137,12 @@ class Drawing:
         self._before[flow] = frame
 
     def _place(self, points: Tensor) -> Points:
-        return place(points, self.scene.height)
+        """Turn node coordinates ``[..., 2]`` (y up) into picture coordinates (y down).
+
+        Pixel centres are at one half.
+        """
+        x, y = points.float().unbind(-1)
+        return torch.stack((x + 0.5, self.scene.height - 0.5 - y), -1).cpu().numpy()
 
     def _draw_curve(self, root: str, curve: Curve, points: Tensor) -> None:
         placed = self._place(points)
@@ -328,15 +333,6 @@ class Drawing:
         """Return lines of a width in L / 50, or of as many pixels on the screen if negative."""
         radius = width if width < 0.0 else width * self.scene.body_length / 50.0
         return self._rerun.LineStrips2D(strips, colors=[colour], radii=radius, draw_order=order)
-
-
-def place(points: Tensor, height: int) -> Points:
-    """Turn node coordinates ``[..., 2]`` (y up) into picture coordinates (y down).
-
-    Pixel centres are at one half; ``height`` is the grid's, in nodes.
-    """
-    x, y = points.float().unbind(-1)
-    return torch.stack((x + 0.5, height - 0.5 - y), -1).cpu().numpy()
 
 
 def _encode(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import signal
 import subprocess
@@ -205,19 +204,6 @@ def test_a_sweep_that_is_ended_saves_its_runs(
     assert f"SIGTERM: saved at frame 8; resume with: {command}" in said
     assert f"rerun: {command}" in done.out
     assert "0 of 2 runs finished" in done.out
-
-
-def test_trainings_below_a_process_end_before_it() -> None:
-    code = "print('ready', flush=True); import sys; sys.stdin.read()"
-    command = [sys.executable, "-c", code, "fishrl", "train", "name=x"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as run:
-        assert run.stdout is not None
-        assert run.stdout.readline() == b"ready\n"
-        assert ending.find_trainings() == {run.pid}
-        with pytest.raises(KeyboardInterrupt), ending.ending_runs():
-            os.kill(os.getpid(), signal.SIGTERM)
-        assert run.wait() == -signal.SIGTERM
-    assert ending.find_trainings() == set()
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")

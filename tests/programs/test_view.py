@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import socket
 import subprocess
 import sys
@@ -39,12 +38,7 @@ def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
     path = tmp_path / "x.rrd"
     arguments = ["policy=pid", "episodes=4", "flows=[1,3]", "periods=1", f"save={path}"]
     view.main([*GAIT, "recognition=oracle", *arguments])
-    said = capsys.readouterr().out
-    number = r"(\d+\.\d+)"
-    words = rf"{path}: {number} MB for {number} T of 2 flows \(jpeg, {number} frames per T"
-    size, periods, _ = map(float, re.match(words, said).groups())
-    assert size == pytest.approx(path.stat().st_size / 1e6, abs=0.005)
-    assert 1.7 < periods < 4.0  # whole decisions, which are longer than half a T at this size
+    assert capsys.readouterr().out == f"written: {path}, {path.stat().st_size / 1e6:.2f} MB\n"
     shown = list_entities(path)
     assert "/flow_1/plots/class_probabilities/2" in shown
     assert "/flow_3/world/neuromasts" in shown
@@ -52,11 +46,10 @@ def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
 
 
 @pytest.mark.parametrize("ending", ["mp4", "gif"])
-def test_a_flow_is_filmed(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_flow_is_filmed(ending: str, tmp_path: Path) -> None:
     film = f"{tmp_path}/x.{ending}"
     words = ["policy=pursuit", "compile=false", "periods=1"]
     view.main([*words, f"save={film}"])
-    assert f"({ending}, " in capsys.readouterr().out
     num_frames, _ = imageio_ffmpeg.count_frames_and_secs(film)
     assert num_frames > 4
     with pytest.raises(SystemExit, match="a film is of one flow"):
@@ -106,9 +99,7 @@ def test_a_live_view_streams_and_stays_until_an_interrupt(
     monkeypatch.setattr(view, "wait_for_interrupt", wait)
     view.main.run(config)
     assert waited == [True]
-    said = capsys.readouterr().out
-    assert " MB for " in said
-    assert ".rrd" not in said  # the file goes with the program
+    assert ".rrd" not in capsys.readouterr().out  # the file goes with the program
 
 
 @pytest.mark.parametrize(

@@ -25,10 +25,10 @@ from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
-from fishrl.training.continuation import continue_as, read_result
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
 from fishrl.training.run_folder import RunFolder, read_config, write_yaml
+from fishrl.training.runs import continue_as, read_result
 from tests.envs.conftest import SMALL
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, read_rows
 from tests.training.stops import run_and_kill, run_and_stop

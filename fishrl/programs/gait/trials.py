@@ -19,9 +19,9 @@ from fishrl.envs.sensors import wrap_angle
 from fishrl.envs.steering import PolicySteering
 from fishrl.envs.transforms import ORACLE, equip, make_labelling
 from fishrl.files import load_tensors, staged
-from fishrl.modules import FixedFrequency, LateralLineClassifier
+from fishrl.modules import LateralLineClassifier
 from fishrl.physics.cache_key import hash_sources, make_key
-from fishrl.training.baselines import make_baseline, make_gait_policy
+from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.classifier import find_classifier, load_recognition
 from fishrl.training.policies import load_plan, load_policy
@@ -156,20 +156,15 @@ def make_trial(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Tria
     if kind != name:
         per_T = max(1, round(1.0 / task.interval_T))
         task = replace(task, steering=PolicySteering(decisions_per_T=per_T))
-    make_policy, rates = partial(make_baseline, kind, task=task, seed=0), list[float]()
-    if kind == "passive":
-        rates = [0.0]
-    elif kind == "shedding":
-        rates = list_shedding(task)
-    if rates:
+    if kind in ("passive", "shedding"):
+        rates = list_shedding(task) if kind == "shedding" else [0.0]
         most = task.control.max_frequency
         if not all(rate <= most for rate in rates):
             raise ValueError(f"baseline {name}: beats at {rates} per T, possible are 0 to {most}")
         # the highest frequency stays in the row: it determines T, and so the flow
         row = tuple(sorted({0.0, *rates, most}))
         task = replace(task, control=DirectFrequencies(frequencies=row, first_gear=0))
-        controller = FixedFrequency(rates if len(rates) > 1 else rates[0])
-        make_policy = partial(make_gait_policy, controller, task)
+    make_policy = partial(make_baseline, kind, task=task, seed=0)
     make_policy()  # refuses an unknown name before anything is run
     task = prolong(task, periods)
     return Trial(name=name, arm=name, task=task, make_policy=make_policy, identity=name)

@@ -29,10 +29,10 @@ from fishrl.programs.program import set_up_logging, show_command
 from fishrl.programs.sweeps.ending import ending_runs, leave_ending_to_sweep
 from fishrl.programs.sweeps.runs import Run, advise, count_frames, read_run
 from fishrl.programs.train_settings import TRAINING, TrainConfig
-from fishrl.training.continuation import find_result, find_run
 from fishrl.training.interruption import SIGNALS
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder
+from fishrl.training.runs import find_result, find_run
 
 logger = logging.getLogger(__name__)
 
