@@ -10,12 +10,18 @@ from experiments.benchmark import main
 from experiments.benchmarks.machine import read_caches
 from experiments.benchmarks.measuring import BenchmarkSettings, Case
 
+TURNS: list[str] = []
+
 
 def make_pair(settings: BenchmarkSettings) -> list[Case]:
-    return [
-        Case(label=f"{i}/walls", name=i, advance=lambda n: None, num_steps=2, num_nodes=10)
-        for i in "ab"
-    ]
+    def make(name: str) -> Case:
+        def advance(num_steps: int) -> dict[str, float]:
+            TURNS.append(f"{name}{num_steps}")
+            return {"share": 0.25}
+
+        return Case(label=f"{name}/walls", name=name, advance=advance, num_steps=3, num_nodes=10)
+
+    return [make("a"), make("b")]
 
 
 def make_number(settings: BenchmarkSettings) -> list[Case]:
@@ -34,10 +40,12 @@ def groups(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benchmark, "GROUPS", toys)
 
 
-def test_a_run_prints_tables_and_keeps_every_time(
+def test_a_run_takes_turns_prints_tables_and_keeps_every_time(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    TURNS.clear()
     main([f"folder={tmp_path}", "threads=1", "rounds=2"])
+    assert TURNS == ["a3", "b3"] * 3  # once before the rounds
     text = capsys.readouterr().out
     assert "| compile, warm | ≤ 1 s | 0.50 s | met |" in text
     assert "| GPU, bulk / copy | ≥ 0.9 × | – | not measured |" in text
@@ -45,6 +53,7 @@ def test_a_run_prints_tables_and_keeps_every_time(
     assert {"cpu", "cores", "torch", "versions", "caches", "load"} <= set(kept["machine"])
     assert [case["label"] for case in kept["cases"]] == ["a/walls", "b/walls", "compile/warm"]
     assert [len(case["measured"]["seconds"]) for case in kept["cases"]] == [2, 2, 1]
+    assert kept["cases"][0]["measured"]["share"] == [0.25] * 2
 
 
 def test_groups_are_chosen_by_name() -> None:

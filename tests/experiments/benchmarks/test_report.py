@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
+from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import FISH, KERNEL, PERIODIC, PROBE, WALLS, Case, Results
 from experiments.benchmarks.plots import measure_bandwidth, write_plots
 from experiments.benchmarks.report import (
@@ -29,11 +30,6 @@ def make_case(label: str, speeds: Sequence[float], *, scope: str = WALLS, **rest
     return Case(label=label, name=name, scope=scope, measured=measured, **fields | rest)
 
 
-def make_number(label: str, group: str, numbers: dict[str, float], **facts: str) -> Case:
-    measured = {name: [value] for name, value in numbers.items()}
-    return Case(label=label, group=group, name=label, measured=measured, facts=facts)
-
-
 @pytest.fixture
 def results() -> Results:
     """Return a run in which everything was measured that there is a table for."""
@@ -51,18 +47,11 @@ def results() -> Results:
         make_case("gpu/fish", [7000] * 3, scope=FISH, group="gpu"),
         make_case("env/policy", [495] * 3, group="env", measured={"outside_flow": [0.01] * 3}),
         make_case("train/gradient", [200] * 3, group="train", num_nodes=0),
-        make_number("compile/cold", "compile", {"seconds": 30.0}),
-        make_number("compile/warm", "compile", {"seconds": 0.5}),
     ]
+    machine = describe_machine() | {"cpu": "a machine", "cores": 2, "caches": {"L3": 32 * 2**20}}
     return Results(
-        machine={
-            "cpu": "a machine", "cores": 2, "torch": "2.13.0", "python": "3.11", "gpu": None,
-            "instructions": "AVX512", "caches": {"L3": 32 * 2**20}, "load": 0.1,
-            "versions": {"numpy": "2.4.6"},
-        },
-        settings={"threads": 2, "rounds": 3, "burst": 0.03},
-        cases=cases,
-    )  # fmt: skip
+        machine=machine, settings={"threads": 2, "rounds": 3, "burst": 0.03}, cases=cases
+    )
 
 
 def test_ratios_are_per_node_update_and_of_the_same_round() -> None:

@@ -20,7 +20,8 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics import Coupling, Cylinder, DCylinder, Fish, FlowConfig, Sponge
 from fishrl.physics.bodies.motion import Bending, Free, Towed
-from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge, Periodic
+from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
+from fishrl.physics.cases import PERIODIC
 from fishrl.physics.collision import compute_equilibrium
 from fishrl.physics.delta import Hat, Peskin4
 from fishrl.physics.fast import batch as batches
@@ -39,7 +40,6 @@ pytestmark = [
 ]
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
 EDGES = Boundaries(left=STREAM, right=OpenEdge(), bottom=STREAM, top=STREAM)
-PERIODIC = Boundaries(left=Periodic(), right=Periodic(), bottom=Periodic(), top=Periodic())
 FISH = Fish(body_length=16, motion=Free())
 FLOW: dict[str, Any] = {"width": 56, "height": 40, "tau": 0.56, "stream_speed": 0.03}
 FLOW["boundaries"] = EDGES
