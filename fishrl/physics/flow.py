@@ -17,7 +17,7 @@ from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundaries, Side
 from fishrl.physics.collision import Rates, compute_equilibrium
-from fishrl.physics.delta import Kernel, Roma3
+from fishrl.physics.delta import SUPPORT
 from fishrl.physics.immersed_boundary import ForceSolve, IterativeForcing
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
 from fishrl.physics.links import MARGIN, MAX_SPACING
@@ -35,7 +35,7 @@ class Coupling(Enum):
     ``EXPLICIT``: the paper's eqs. 5 and 6, where the last step's velocity sets the force.
 
     ``BOUNCE_BACK``: the skin is a sharp surface (``bounce_back.py``). More accurate for a thin
-    fish; kernel and force solve do not matter.
+    fish; the force solve does not matter.
     """
 
     IMPLICIT = "implicit"
@@ -88,7 +88,6 @@ class FlowConfig(Settings):
         rates: relaxation rates of the other moments.
         boundaries: the four edges.
         sponges: strips of raised viscosity.
-        kernel: delta kernel of the immersed boundary.
         force_solve: method that enforces no slip.
         coupling: how bodies and fluid act on each other, see ``Coupling``.
         storage: number format of the in-place step's populations; half precision halves the memory
@@ -104,14 +103,12 @@ class FlowConfig(Settings):
     rates: Rates = Rates()
     boundaries: Boundaries = Boundaries()
     sponges: tuple[Sponge, ...] = ()
-    kernel: Kernel = Roma3()
     force_solve: ForceSolve = IterativeForcing()
     coupling: Coupling = Coupling.IMPLICIT
     storage: Storage = Storage.FLOAT32
 
     def __post_init__(self) -> None:
         check_tau(self.tau)
-        self.force_solve.check(self.kernel)
         if self.fish is None and any(isinstance(body, Fish) for body in self.bodies):
             names = [type(body).__name__ for body in self.bodies]
             raise ValueError(f"bodies = {names}: the fish must come first")
@@ -159,8 +156,8 @@ class FlowConfig(Settings):
 
     @property
     def margin(self) -> float:
-        """Distance from the edge nodes, in nodes, that markers must keep."""
-        return MARGIN if self.coupling is Coupling.BOUNCE_BACK else self.kernel.margin
+        """Distance from the edge nodes, in nodes, that markers must keep to reach none beyond."""
+        return MARGIN if self.coupling is Coupling.BOUNCE_BACK else 0.5 * SUPPORT - 1.0
 
     @property
     def fish(self) -> Fish | None:

@@ -65,7 +65,7 @@ def locate_bodies(
     """Deform the bodies, place their markers, find the nodes around them; weights of ``dtype``."""
     outlines = locate_outlines(config, params, states)
     positions = torch.cat([m.position for m in outlines.markers], 1)
-    stencil = make_stencil(positions, config.kernel, config.width, config.height, dtype)
+    stencil = make_stencil(positions, config.width, config.height, dtype)
     spacing = torch.cat([p.spacing.to(dtype).expand(len(positions), -1) for p in params], -1)
     operator = config.force_solve.prepare(overlap_markers(stencil), spacing)
     return BodyGeometry(outlines, spacing, stencil, operator)

@@ -14,7 +14,7 @@ import torch
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 from torch import Tensor
 
-from fishrl.physics.delta import Kernel
+from fishrl.physics.delta import SPECTRUM, SUPPORT, evaluate_delta
 from fishrl.settings import Settings
 
 
@@ -46,28 +46,25 @@ class Stencil(NamedTuple):
         return (rows[:, :, None] + columns[:, None]).flatten(1, 2)
 
 
-def make_stencil(
-    markers: Tensor, kernel: Kernel, width: int, height: int, dtype: torch.dtype
-) -> Stencil:
+def make_stencil(markers: Tensor, width: int, height: int, dtype: torch.dtype) -> Stencil:
     """Find each marker's nodes and weights.
 
     Args:
         markers: ``[B, N, 2]`` positions (x, y) in nodes.
-        kernel: the delta kernel.
         width: number of nodes along x; markers outside are clamped to the edge, so that a body
             outside the domain (reported as diverged) reads no other flow's memory.
         height: number of nodes along y.
         dtype: of the weights.
     """
-    reach = 0.5 * kernel.support
-    steps = torch.arange(kernel.support, device=markers.device, dtype=dtype)[:, None]
+    reach = 0.5 * SUPPORT
+    steps = torch.arange(SUPPORT, device=markers.device, dtype=dtype)[:, None]
     first, weights = [], []
     for axis, size in ((0, width), (1, height)):
         position = markers[..., axis].nan_to_num(0.0).clamp(0.0, size - 1.0)
-        start = (torch.floor(position - reach) + 1.0).clamp(0.0, float(size - kernel.support))
+        start = (torch.floor(position - reach) + 1.0).clamp(0.0, float(size - SUPPORT))
         offset = (position - start).to(dtype)
         first.append(start.to(dtype))
-        weights.append(kernel(offset[:, None] - steps))
+        weights.append(evaluate_delta(offset[:, None] - steps))
     return Stencil(first[0], first[1], weights[0], weights[1])
 
 
@@ -100,10 +97,6 @@ def _overlap(first: Tensor, weights: Tensor) -> Tensor:
 class ForceSolve(Settings, ABC):
     """A method that solves A g = r for the force g at the markers."""
 
-    @abstractmethod
-    def check(self, kernel: Kernel) -> None:
-        """Raise if the solve does not work with ``kernel``."""
-
     def prepare(self, overlap: Tensor, spacing: Tensor) -> tuple[Tensor, ...]:
         """Return what the solve needs of the marker positions; once where bodies stay still.
 
@@ -131,7 +124,7 @@ class IterativeForcing(ForceSolve):
 
     Args:
         num_iterations: K.
-        relaxation: w; stable up to 2 / ``kernel.spectrum``.
+        relaxation: w; stable up to 2 / ``delta.SPECTRUM``.
     """
 
     num_iterations: PositiveInt = 4
@@ -142,13 +135,11 @@ class IterativeForcing(ForceSolve):
         """Return the paper's iteration."""
         return cls(num_iterations=num_iterations, relaxation=1.0)
 
-    def check(self, kernel: Kernel) -> None:
-        """Raise if the iteration diverges with ``kernel``."""
-        limit = 2.0 / kernel.spectrum
+    def __post_init__(self) -> None:
+        limit = 2.0 / SPECTRUM
         if self.relaxation > limit:
             raise ValueError(
-                f"relaxation = {self.relaxation} with {type(kernel).__name__}: the iteration is "
-                f"stable up to {limit:.2f}"
+                f"relaxation = {self.relaxation}: the iteration is stable up to {limit:.2f}"
             )
 
     def __call__(self, operator: Sequence[Tensor], residual: Tensor) -> tuple[Tensor, Tensor]:
@@ -170,9 +161,6 @@ class DirectSolve(ForceSolve):
     """
 
     regularisation: NonNegativeFloat = 1e-4
-
-    def check(self, kernel: Kernel) -> None:
-        """Accept every kernel."""
 
     def prepare(self, overlap: Tensor, spacing: Tensor) -> tuple[Tensor, ...]:
         """Return A^T and its inverse, computed in double precision by Cholesky factorisation."""

@@ -8,7 +8,7 @@ import torch
 
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.state import make_body
-from fishrl.physics.delta import Hat, Kernel, Peskin4, Roma3
+from fishrl.physics.delta import SPECTRUM
 from fishrl.physics.geometry import deform_body, place_markers
 from fishrl.physics.immersed_boundary import (
     DirectSolve,
@@ -19,10 +19,7 @@ from fishrl.physics.immersed_boundary import (
 )
 from fishrl.physics.step import gather, spread
 
-KERNELS = [Hat(), Roma3(), Peskin4()]
 SIZE = 96
-
-
 FISH = Fish(body_length=50)
 
 
@@ -34,23 +31,19 @@ def make_markers(heading: float = 0.7, fish: Fish = FISH) -> torch.Tensor:
     return place_markers(body, deform_body(fish, fish.make_params(), body)).position
 
 
-@pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: type(k).__name__)
-def test_sums_of_kernel_weights_and_squares_do_not_depend_on_the_place(kernel: Kernel) -> None:
+def test_sums_of_kernel_weights_and_squares_do_not_depend_on_the_place() -> None:
     markers = 20 + torch.rand(1, 500, 2, dtype=torch.float64)
-    stencil = make_stencil(markers, kernel, SIZE, SIZE, torch.float64)
-    torch.testing.assert_close(stencil.weights.sum(1), torch.ones(1, 500, dtype=torch.float64))
-    # first moment: a linear field is interpolated exactly (hat, Roma and Peskin kernels alike)
-    nodes = stencil.index_nodes(SIZE)
-    x = (nodes % SIZE).double()
+    stencil = make_stencil(markers, SIZE, SIZE, torch.float64)
+    one = torch.ones(1, 500, dtype=torch.float64)
+    torch.testing.assert_close(stencil.weights.sum(1), one)
+    torch.testing.assert_close(stencil.weight_x.square().sum(1), 0.5 * one)
+    # first moment: a linear field is interpolated exactly
+    x = (stencil.index_nodes(SIZE) % SIZE).double()
     torch.testing.assert_close(interpolate(x, stencil.weights), markers[..., 0])
-    if not isinstance(kernel, Hat):
-        square = torch.full((1, 500), 1 / 2 if isinstance(kernel, Roma3) else 3 / 8).double()
-        torch.testing.assert_close(stencil.weight_x.square().sum(1), square)
 
 
-@pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: type(k).__name__)
-def test_coupling_matrix_equals_spread_then_interpolate(kernel: Kernel) -> None:
-    stencil = make_stencil(make_markers(), kernel, SIZE, SIZE, torch.float64)
+def test_coupling_matrix_equals_spread_then_interpolate() -> None:
+    stencil = make_stencil(make_markers(), SIZE, SIZE, torch.float64)
     nodes, weights = stencil.index_nodes(SIZE), stencil.weights
     g = torch.randn(1, weights.shape[-1], dtype=torch.float64)
     field = spread(0.9 * weights * g[:, None], nodes, torch.zeros(1, SIZE, SIZE).double())
@@ -59,23 +52,20 @@ def test_coupling_matrix_equals_spread_then_interpolate(kernel: Kernel) -> None:
     torch.testing.assert_close(got[..., 0], expected)
 
 
-@pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: type(k).__name__)
 @pytest.mark.parametrize("heading", [0.0, 0.7, math.pi / 2])
 @pytest.mark.parametrize("fish", [FISH, Fish(body_length=50, thickness=0.02, inset=1.0)])
-def test_the_kernels_spectrum_bounds_the_coupling(
-    kernel: Kernel, heading: float, fish: Fish
-) -> None:
+def test_the_kernels_spectrum_bounds_the_coupling(heading: float, fish: Fish) -> None:
     """Also where the sides of a body meet, as the inset of a thin one lets them."""
-    stencil = make_stencil(make_markers(heading, fish), kernel, SIZE, SIZE, torch.float64)
+    stencil = make_stencil(make_markers(heading, fish), SIZE, SIZE, torch.float64)
     root = fish.make_params().spacing.sqrt()
     largest = torch.linalg.eigvalsh(root.mT * overlap_markers(stencil)[0] * root)[-1]
-    assert 0.45 * kernel.spectrum < largest < kernel.spectrum
+    assert 0.45 * SPECTRUM < largest < SPECTRUM
 
 
 def measure_slip(solve: IterativeForcing | DirectSolve) -> float:
     """Relative rms slip left of an impulsive smooth target."""
     markers = make_markers()
-    overlap = overlap_markers(make_stencil(markers, Roma3(), SIZE, SIZE, torch.float64))
+    overlap = overlap_markers(make_stencil(markers, SIZE, SIZE, torch.float64))
     target = torch.cos(0.1 * markers[..., :1]).mT
     _, rest = solve(solve.prepare(overlap, Fish(body_length=50).make_params().spacing), target)
     return float(rest.norm() / target.norm())
@@ -91,5 +81,5 @@ def test_slip_falls_with_iterations_faster_than_the_papers_and_to_none_in_a_dire
 
 def test_markers_outside_the_grid_read_no_foreign_memory() -> None:
     markers = torch.tensor([[[-50.0, 1e9], [float("nan"), 3.0]]], dtype=torch.float64)
-    nodes = make_stencil(markers, Roma3(), SIZE, SIZE, torch.float64).index_nodes(SIZE)
+    nodes = make_stencil(markers, SIZE, SIZE, torch.float64).index_nodes(SIZE)
     assert nodes.min() >= 0 and nodes.max() < SIZE * SIZE

@@ -23,7 +23,6 @@ from fishrl.physics.bodies.motion import Bending, Free, Towed
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.cases import PERIODIC
 from fishrl.physics.collision import compute_equilibrium
-from fishrl.physics.delta import Hat, Peskin4
 from fishrl.physics.fast import batch as batches
 from fishrl.physics.fast.gpu_body_parts import can_use_triton
 from fishrl.physics.fast.part import Part
@@ -43,7 +42,6 @@ EDGES = Boundaries(left=STREAM, right=OpenEdge(), bottom=STREAM, top=STREAM)
 FISH = Fish(body_length=16, motion=Free())
 FLOW: dict[str, Any] = {"width": 56, "height": 40, "tau": 0.56, "stream_speed": 0.03}
 FLOW["boundaries"] = EDGES
-ZHANG = IterativeForcing(num_iterations=2, relaxation=1.0)
 CASES: dict[str, dict[str, Any]] = {
     "free fish, periodic edges": {"bodies": (FISH,), "boundaries": PERIODIC},
     "bending and towed fish": {
@@ -56,8 +54,7 @@ CASES: dict[str, dict[str, Any]] = {
         "bodies": (DCylinder(diameter=9),),
         "sponges": (Sponge(length=30), Sponge(length=9, tau=0.8)),
     },
-    "hat": {"bodies": (FISH,), "kernel": Hat(), "force_solve": ZHANG},
-    "peskin": {"bodies": (FISH,), "kernel": Peskin4(), "force_solve": ZHANG},
+    "the paper's iteration": {"bodies": (FISH,), "force_solve": IterativeForcing.zhang(2)},
 }
 
 
