@@ -62,11 +62,8 @@ def split_fish(data: TensorDictBase) -> TensorDictBase:
 
 def average_fish(data: TensorDictBase, name: str) -> Tensor:
     """Return a per-fish entry, such as the reward, as ``[B, 1]``; the mean over several fish."""
-    if AGENTS not in data:
-        own: Tensor = data[name]
-        return own
-    mean: Tensor = data[AGENTS, name].mean(1)
-    return mean
+    own: Tensor = data[AGENTS, name].mean(1) if AGENTS in data else data[name]
+    return own
 
 
 class EachFish(TensorDictModuleBase):

@@ -152,14 +152,8 @@ class LateralLineClassifier(nn.Module):
 
     def save(self, path: str | Path) -> None:
         """Write weights, normalisation, flows and sensors to one file."""
-        settings = {
-            "flows": self.flows,
-            "sensors": self.sensors,
-            "features": self.features,
-            "num_samples": self.num_samples,
-            "hidden": self.hidden,
-            "is_recurrent": self.is_recurrent,
-        }
+        names = ("flows", "sensors", "features", "num_samples", "hidden", "is_recurrent")
+        settings = {name: getattr(self, name) for name in names}
         state = {name: value.cpu() for name, value in self.state_dict().items()}
         with staged(Path(path)) as stage:
             torch.save({"format": _FORMAT, "settings": settings, "state": state}, stage)
