@@ -38,8 +38,6 @@ class LateralLineClassifier(nn.Module):
         num_samples: how many of the newest samples are read; by default those of one control
             interval. More need the concatenated signals of several intervals.
         hidden: widths of the hidden layers.
-        is_recurrent: read the samples one after the other, oldest first, by a GRU (Cho et al. 2014)
-            as wide as the first hidden layer, in place of all at once; the other layers follow it.
         generator: source of the initial weights.
 
     Raises:
@@ -57,7 +55,6 @@ class LateralLineClassifier(nn.Module):
         features: Sequence[str] | None = None,
         num_samples: int | None = None,
         hidden: Sequence[int] = (64, 64),
-        is_recurrent: bool = False,
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
@@ -75,19 +72,14 @@ class LateralLineClassifier(nn.Module):
         self.sensors = {**sensors, "features": known}
         self.features = list(features)
         self.num_samples = int(sensors["num_samples"] if num_samples is None else num_samples)
-        self.hidden, self.is_recurrent = list(hidden), is_recurrent
+        self.hidden = list(hidden)
         if self.num_samples < 1:
             raise ValueError(f"num_samples = {num_samples}: must be at least 1")
         self._columns = [known.index(name) for name in self.features]
         shape = (int(sensors["num_neuromasts"]), len(self.features))
         self.register_buffer("mean", torch.zeros(shape))
         self.register_buffer("scale", torch.ones(shape))
-        widths = [*hidden, len(self.flows)]
-        self.recurrent: nn.GRU | None = None
-        if is_recurrent:
-            self.recurrent = _make_gru(self.mean.numel(), widths[0], generator=generator)
-        else:
-            widths = [self.num_samples * self.mean.numel(), *widths]
+        widths = [self.num_samples * self.mean.numel(), *hidden, len(self.flows)]
         self.network = make_mlp(widths, generator=generator)
 
     @property
@@ -124,13 +116,7 @@ class LateralLineClassifier(nn.Module):
     def forward(self, lateral_line: Tensor) -> Tensor:
         """Return logits ``[..., n]``; see ``read`` for what is expected."""
         signal = (self.read(lateral_line) - self.mean) / self.scale
-        if self.recurrent is None:
-            read = signal.flatten(-3)
-        else:
-            series = signal.flatten(-2)
-            _, last = self.recurrent(series.reshape(-1, *series.shape[-2:]))
-            read = last[0].view(*series.shape[:-2], -1)
-        logits: Tensor = self.network(read)
+        logits: Tensor = self.network(signal.flatten(-3))
         return logits
 
     def check(self, *, flows: Sequence[Mapping[str, Any]], sensors: Mapping[str, Any]) -> None:
@@ -152,7 +138,7 @@ class LateralLineClassifier(nn.Module):
 
     def save(self, path: str | Path) -> None:
         """Write weights, normalisation, flows and sensors to one file."""
-        names = ("flows", "sensors", "features", "num_samples", "hidden", "is_recurrent")
+        names = ("flows", "sensors", "features", "num_samples", "hidden")
         settings = {name: getattr(self, name) for name in names}
         state = {name: value.cpu() for name, value in self.state_dict().items()}
         with staged(Path(path)) as stage:
@@ -172,14 +158,6 @@ class LateralLineClassifier(nn.Module):
         except (TypeError, RuntimeError) as error:
             raise ValueError(f"{what} {path}: the file does not fit; {remedy}") from error
         return classifier.eval()
-
-
-def _make_gru(num_inputs: int, width: int, *, generator: torch.Generator | None) -> nn.GRU:
-    """Return a GRU of batches first with the distribution of ``nn.GRU``'s weights."""
-    gru, bound = nn.GRU(num_inputs, width, batch_first=True), width**-0.5
-    for parameter in gru.parameters():
-        nn.init.uniform_(parameter, -bound, bound, generator=generator)
-    return gru
 
 
 def _is_same(known: Any, given: Any) -> bool:

@@ -46,14 +46,11 @@ def test_normalised_features_have_mean_0_and_deviation_1_but_rounding_errors_are
     assert (classifier.scale[:, 0] == 1.0).all()
 
 
-@pytest.mark.parametrize(
-    ("num_samples", "is_recurrent", "intervals"),
-    [(1, False, 1), (16, True, 1), (17, False, 2), (20, False, 2), (48, False, 3)],
-)
+@pytest.mark.parametrize(("num_samples", "intervals"), [(1, 1), (16, 1), (17, 2), (20, 2), (48, 3)])
 def test_saved_classifier_keeps_predictions_and_description(
-    num_samples: int, is_recurrent: bool, intervals: int, tmp_path: Path
+    num_samples: int, intervals: int, tmp_path: Path
 ) -> None:
-    classifier = make(num_samples=num_samples, is_recurrent=is_recurrent, features=["p", "u"])
+    classifier = make(num_samples=num_samples, features=["p", "u"])
     classifier.set_normalisation(noise(8, num_samples))
     classifier.save(tmp_path / "classifier.pt")
     other = LateralLineClassifier.load(tmp_path / "classifier.pt")
@@ -95,15 +92,6 @@ def test_flows_and_sensors_other_than_those_of_the_training_are_refused() -> Non
     ):
         with pytest.raises(ValueError, match=message):
             make().check(flows=flows, sensors=sensors)
-
-
-def test_recurrent_classifier_depends_on_the_order_of_samples() -> None:
-    made = make(is_recurrent=True)
-    signal = make_samples(4)["lateral_line"].view(2, -1, 16, 5, 6)
-    logits = made(signal)
-    assert logits.shape == (*signal.shape[:2], 3)
-    torch.testing.assert_close(made(signal[1, 3]), logits[1, 3])
-    assert not torch.allclose(made(signal.flip(2)), logits)
 
 
 def test_invalid_file_is_refused(tmp_path: Path) -> None:
