@@ -10,7 +10,6 @@ from functools import partial
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
 from torchrl.envs import ExplorationType, set_exploration_type
 
 from experiments.benchmarks.measuring import BenchmarkSettings, Case
@@ -31,31 +30,6 @@ def make_task(settings: BenchmarkSettings) -> Predation:
     return Predation(body_length=length, reynolds=140.0 * length)
 
 
-class Stage:
-    """Flows, the environment around them and a policy."""
-
-    def __init__(self, task: Any, num_envs: int, **options: Any) -> None:
-        self.task = task
-        middle = task.starts_from(torch.full((1, task.num_draws), 0.5, dtype=torch.float64))
-        self.env = make_env(task=task, num_envs=num_envs, starts=middle, **options)
-        self.base: Any = self.env.base_env
-        self.policy: Any = make_actor(
-            num_inputs=task.num_stacked * task.n_obs,
-            num_actions=task.num_actions,
-            generator=torch.Generator().manual_seed(0),
-        )
-        self.prepare()
-
-    def prepare(self) -> None:
-        """Begin new episodes."""
-        self.state: TensorDictBase = self.env.reset()
-
-    def act(self) -> None:
-        """Step the whole environment as a collector does, with an action of the policy."""
-        with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
-            _, self.state = self.env.step_and_maybe_reset(self.policy(self.state))
-
-
 def make_case(base: Any, label: str, what: str, advance: Any, **options: Any) -> Case:
     """Return bursts of one action of all flows of an environment."""
     flow = base.solver.config
@@ -67,9 +41,29 @@ def make_overhead(
     settings: BenchmarkSettings, *, task: Any = None, num_envs: int = NUM_ENVS, **options: Any
 ) -> list[Case]:
     """Make one action of all flows, and measure which share of it is spent outside the flow."""
-    stage = Stage(task or make_task(settings), num_envs, **options)
-    base, advance_, spent = stage.base, stage.base.solver.advance_, [0.0]  # seconds in the flow
+    task = task or make_task(settings)
+    middle = task.starts_from(torch.full((1, task.num_draws), 0.5, dtype=torch.float64))
+    env = make_env(task=task, num_envs=num_envs, starts=middle, **options)
+    policy: Any = make_actor(
+        num_inputs=task.num_stacked * task.n_obs,
+        num_actions=task.num_actions,
+        generator=torch.Generator().manual_seed(0),
+    )
+    base: Any = env.base_env
+    advance_, spent, state = base.solver.advance_, [0.0], [env.reset()]  # seconds in the flow
     keep_heading = torch.ones(base.batch_size, dtype=torch.int64)
+
+    def prepare() -> None:
+        """Begin new episodes."""
+        state[0] = env.reset()
+
+    def act() -> None:
+        """Step the whole environment as a collector does, with an action of the policy."""
+        with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+            _, state[0] = env.step_and_maybe_reset(policy(state[0]))
+
+    def step() -> None:
+        base.step(state[0].clone().set("action", keep_heading))
 
     def time_flow(*arguments: Any, **keywords: Any) -> None:
         start = time.perf_counter()
@@ -81,15 +75,11 @@ def make_overhead(
         act()
         return {"outside_flow": 1.0 - spent[0] / (time.perf_counter() - start)}
 
-    def step() -> None:
-        base.step(stage.state.clone().set("action", keep_heading))
-
     base.solver.advance_ = time_flow
-    make = partial(make_case, base, prepare=stage.prepare)
-    whole = "environment, transforms and policy"
+    make = partial(make_case, base, prepare=prepare)
     return [
         make("env/env", "environment", partial(run_env, act=step)),
-        make("env/policy", whole, partial(run_env, act=stage.act)),
+        make("env/policy", "environment, transforms and policy", partial(run_env, act=act)),
     ]
 
 
