@@ -5,7 +5,7 @@ writes a recording or a film, ``screenshot=`` a picture; a path alone opens a re
 """
 
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -98,11 +98,10 @@ def record(settings: ViewConfig, *, save: Path, url: str | None, progress: Callb
         names = name_flows(task, flows, starts)
         film, drawing = Recording(scene=scene), None
         if not settings.is_film:
-            drawing = stack.enter_context(
-                start_drawing(
-                    scene, flows=names, save=save, url=url, field_format=settings.field_format
-                )
+            drawing = start_drawing(
+                scene, flows=names, save=save, url=url, field_format=settings.field_format
             )
+            stack.callback(drawing.close)
 
         def draw(start: int, frame: Frame) -> None:
             if drawing is None:
@@ -155,13 +154,15 @@ def main(settings: ViewConfig) -> None:
                 "live=true for a browser"
             )
         if settings.recording is None:
-            server = stack.enter_context(Server(port=settings.port)) if settings.live else None
+            url = None
+            if settings.live:
+                server = stack.enter_context(closing(Server(port=settings.port)))
+                url = server.url
             with Progress() as progress:
-                url = None if server is None else server.url
                 record(settings, save=path, url=url, progress=progress)
             if settings.save is not None:
                 print(f"written: {path}, {path.stat().st_size / 1e6:.2f} MB")
-            if server is not None:
+            if settings.live:
                 wait_for_interrupt()
         if settings.screenshot is not None:
             write_screenshot(path, settings.screenshot, time_T=settings.time)

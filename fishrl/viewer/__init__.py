@@ -9,7 +9,7 @@ from fishrl.viewer.files import (
     start_drawing,
     write_screenshot,
 )
-from fishrl.viewer.live import Server, has_screen
+from fishrl.viewer.process import Server, has_screen
 from fishrl.viewer.recording import Recording, make_scene, name_flows, record_episodes
 from fishrl.viewer.settings import ViewerSettings
 

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Mapping
 from enum import StrEnum
 from types import ModuleType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import torch
@@ -87,12 +87,6 @@ class Drawing:
         self._draw_legends()
         for flow, title in flows.items():
             self._draw_constants(name_flow(flow), title)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Flush and end the stream."""

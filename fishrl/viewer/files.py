@@ -5,7 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ def start_drawing(
     """Begin to draw flows, given their titles by index, into a file, a viewer, or both.
 
     ``save`` is the path of the ``.rrd`` file, which is replaced if it exists, ``url`` is that of
-    a viewer's server, see ``live.Server``; ``field_format`` is ``jpeg`` or ``u8``.
+    a viewer's server, see ``process.Server``; ``field_format`` is ``jpeg`` or ``u8``.
 
     Raises:
         ValueError: if the format is unknown, or neither file nor viewer is given.
@@ -158,7 +158,7 @@ class HeadlessViewer:
 def open_headless(path: str | os.PathLike[str], time_T: float | None) -> Iterator[HeadlessViewer]:
     """Show a recording at a time, by default its middle, without a window."""
     recording = find_recording(path)
-    with Viewer("--headless", "--hide-welcome-screen", port=_PORT) as process:
+    with closing(Viewer("--headless", "--hide-welcome-screen", port=_PORT)) as process:
         viewer = HeadlessViewer(process)
         first, last = viewer.load(recording)
         moment = 0.5 * (first + last) if time_T is None else time_T

@@ -3,13 +3,17 @@
 rerun's own ``serve_grpc``, ``spawn`` and headless viewer listen on every network interface.
 """
 
+import logging
+import os
 import socket
 import subprocess
 import sys
 import time
-from typing import Any, Self
+from typing import Any
 
 from fishrl.children import start_child
+
+logger = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
 _PATIENCE_S = 300.0
@@ -45,12 +49,6 @@ class Viewer:
         self.close()
         raise ValueError(self.explain_failure())
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
     @property
     def is_running(self) -> bool:
         """Whether the program is still running."""
@@ -77,6 +75,40 @@ class Viewer:
         except OSError:
             return False
         return True
+
+
+class Server(Viewer):
+    """Takes in a stream and passes it to windows and, at ``page``, browsers on this machine.
+
+    It keeps the newest frames that fit into 512 MB, for those that join late. Closing a window
+    does not end it, and an open window keeps its frames when the server ends.
+
+    Args:
+        port: where streams arrive; the next free one if it is taken.
+        opens_window: open a window; by default where there is a screen.
+
+    Raises:
+        ValueError: if no port is free, or it does not start.
+    """
+
+    def __init__(self, *, port: int = 9876, opens_window: bool | None = None) -> None:
+        port = find_port(port)
+        web_port = find_port(port + 1)
+        options = ("--serve-web", "--web-viewer-port", str(web_port))
+        super().__init__(*options, "--server-memory-limit", "512MB", port=port)
+        escaped = self.url.replace("+", "%2B").replace(":", "%3A").replace("/", "%2F")
+        self.page = f"http://{HOST}:{web_port}?url={escaped}"
+        if has_screen() if opens_window is None else opens_window:
+            open_window("--bind", HOST, "--port", "auto", "--connect", self.url)
+        words = "live on this machine: a window by `python -m rerun --connect %s`, a browser by %s"
+        logger.info(words, self.url, self.page)
+
+
+def has_screen() -> bool:
+    """Return whether a window could be opened here."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def open_window(*options: str) -> None:

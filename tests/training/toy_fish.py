@@ -7,7 +7,7 @@ hunts food that moves up and down. Walls at the sides of a 10 x 5 body-length ba
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -24,7 +24,6 @@ from torchrl.envs import (
     InitTracker,
     RewardSum,
     StepCounter,
-    Transform,
     TransformedEnv,
 )
 
@@ -74,11 +73,11 @@ Predation.register(ToyPredation)  # so that its baselines fit
 class ToyFishEnv(EnvBase):
     """All fish of the batch at once."""
 
-    def __init__(
-        self, *, task: ToyPredation, num_envs: int, seed: int, starts: TensorDict | None
-    ) -> None:
+    starts: TensorDict | None = None
+
+    def __init__(self, *, task: ToyPredation, num_envs: int, seed: int) -> None:
         super().__init__(device="cpu", batch_size=[num_envs])
-        self.task, self.starts = task, starts
+        self.task = task
         self.rng = torch.Generator().manual_seed(seed)
         self.next_start = 0
         self.on_frame = None
@@ -201,20 +200,14 @@ def make_toy_env(
     task: ToyPredation,
     num_envs: int,
     seed: int,
-    device: str = "cpu",
-    compile: bool = False,
-    starts: TensorDict | None = None,
-    frames_per_action: int = 1,
-    recognition: None = None,
-    transforms: Sequence[Transform] = (),
+    **_: Any,
 ) -> TransformedEnv:
     """Stand in for ``fishrl.envs.making.make_env``."""
-    env = TransformedEnv(ToyFishEnv(task=task, num_envs=num_envs, seed=seed, starts=starts))
+    env = TransformedEnv(ToyFishEnv(task=task, num_envs=num_envs, seed=seed))
     for transform in (
         InitTracker(),
         StepCounter(max_steps=task.time_limit),
         RewardSum(),
-        *transforms,
         CatFrames(
             N=task.num_stacked, dim=-1, in_keys=["observation"], out_keys=["observation_stack"]
         ),

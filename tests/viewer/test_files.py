@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -56,7 +57,8 @@ STATE = SimpleNamespace(loading=[], recordings=[SimpleNamespace(timelines=[LINE]
 
 
 def write(path: Path, *, num_frames: int = 3, field_format: str = "jpeg") -> None:
-    with start_drawing(make_scene(), flows=FLOWS, save=path, field_format=field_format) as drawing:
+    drawing = start_drawing(make_scene(), flows=FLOWS, save=path, field_format=field_format)
+    with closing(drawing):
         for number in range(num_frames):
             for flow in FLOWS:
                 drawing.draw(flow, make_frame(number))

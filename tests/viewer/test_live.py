@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import pytest
@@ -42,7 +43,7 @@ def await_listeners(port: int, wanted: set[str]) -> None:
 
 
 def test_server_listens_on_this_machine_alone_and_may_end_before_its_streams() -> None:
-    with Server(port=29400, opens_window=False) as server:
+    with closing(Server(port=29400, opens_window=False)) as server:
         assert server.url == f"rerun+http://127.0.0.1:{server.port}/proxy"
         for port in (server.port, int(server.page.split("?")[0].rsplit(":", 1)[1])):
             await_listeners(port, {"0100007F"})  # 127.0.0.1, lowest byte first

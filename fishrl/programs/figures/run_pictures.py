@@ -1,6 +1,7 @@
 """The pictures of a run: episodes of its policy and its learning curve."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -49,12 +50,13 @@ def record_run(
         starts, max_decisions = starts[flows], count_decisions(task, _MAX_PERIODS)
     recordings = [Recording(scene=scene) for _ in range(len(starts))]
 
-    with start_drawing(
+    drawing = start_drawing(
         scene,
         flows=name_flows(task, flows, starts),
         save=folder / "capture.rrd",
         field_format=settings.field_format,
-    ) as drawing:
+    )
+    with closing(drawing):
 
         def give(start: int, frame: Frame) -> None:
             if scene.goal is not None:
