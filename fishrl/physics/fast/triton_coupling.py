@@ -1,6 +1,6 @@
 """The bodies' coupling to the flow on a GPU, as two kernels in Triton.
 
-It does what ``step.couple_bodies`` and ``CoupleBodies`` of ``body_parts.py`` do as tensor
+It does what ``step.couple_bodies`` and ``make_coupling`` of ``body_parts.py`` do as tensor
 operations, which remain its reference. The numbers of equations are the paper's, as in
 ``step.py``; in its notation, for one flow with markers l = 1 .. N:
 
