@@ -23,9 +23,9 @@ from fishrl.settings import Settings
 # in the order of the report
 NAMES = (
     *("taylor_green", "poiseuille", "cavity", "invariance", "slip", "channel_cylinder"),
-    *("free_cylinder", "d_cylinder", "outflow", "oscillating_cylinder", "rotating_cylinder"),
-    *("settling_disc", "sheared_ellipse", "swimmer", "sharp_swimmer", "gaits", "turning"),
-    *("pitching_pair", "c_start", "compressibility", "stability"),
+    *("free_cylinder", "d_cylinder", "edges", "outflow", "oscillating_cylinder"),
+    *("rotating_cylinder", "settling_disc", "sheared_ellipse", "swimmer", "sharp_swimmer"),
+    *("gaits", "turning", "pitching_pair", "c_start", "compressibility", "stability"),
 )
 CASES: tuple[Case, ...] = tuple(
     import_module(f"experiments.validation.{name}").CASE for name in NAMES

@@ -2,12 +2,13 @@
 
 The domain is that of the paper, 25 D × 12.5 D (1000 × 500 nodes with D = 40; blockage 8 %), with
 the flat side of the half disc 6.25 D behind the inflow. Streams of 0.1, 0.125 and 0.15 nodes per
-step give Re = 200, 250 and 300 (conditions I, II, III). The flat side faces downstream, inflow and
-sides move with the stream, and the outflow is open to plane sound waves. Markers lie 0.45 nodes
-inside the outline; the no-slip condition is solved directly. After a perturbation the flow runs for
-120 D / U, of which the second half is evaluated over whole periods. St = f D / U is that of the
-lift, from its zero crossings and from its spectrum. Variants at D = 20 have open sides, no-slip
-walls, half the speed at the same Re, the flat side upstream, or a fixed density at the outflow.
+step give Re = 200, 250 and 300 (conditions I, II, III). The flat side faces downstream, and the
+edges make no vorticity (`Boundaries.make_stream`). Markers lie 0.45 nodes inside the outline; the
+no-slip condition is solved directly. After a perturbation the flow runs for 120 D / U, of which the
+second half is evaluated over whole periods. St = f D / U is that of the lift, from its zero
+crossings and from its spectrum. Variants at D = 20 have sides that move with the stream, open
+sides, no-slip walls, half the speed at the same Re, the flat side upstream, or a fixed density at
+the outflow.
 """
 
 from collections.abc import Iterator, Mapping
@@ -26,8 +27,14 @@ SPEEDS = {200: 0.1, 250: 0.125, 300: 0.15}  # conditions I, II, III
 PAPER = {200: 0.267, 250: 0.256, 300: 0.267}
 SIZES = (20, 40)
 TRAVELS = 120.0
-SIDES = {"moving sides": wake.STREAM, "open sides": wake.OPEN_SIDE, "walls": NoSlip()}
+SIDES = {
+    "sliding sides": wake.SLIDING,
+    "moving sides": wake.STREAM,
+    "open sides": wake.OPEN_SIDE,
+    "walls": NoSlip(),
+}
 VARIANTS: Mapping[str, dict[str, str | bool | float]] = {
+    "moving sides": {"sides": "moving sides"},
     "open sides": {"sides": "open sides"},
     "walls": {"sides": "walls"},
     "half the speed": {"slowing": 2.0},
@@ -55,7 +62,7 @@ def run_half_disc(
     *,
     diameter: int,
     reynolds: int,
-    sides: str = "moving sides",
+    sides: str = "sliding sides",
     is_flat_downstream: bool = True,
     slowing: float = 1.0,
     is_pinned: bool = False,
@@ -75,6 +82,7 @@ def run_half_disc(
         size=(width, height),
         tau=3.0 * (speed * diameter / reynolds) + 0.5,
         speed=speed,
+        inflow=wake.INFLOW,
         outflow=wake.PINNED if is_pinned else wake.OPEN,
         sides=SIDES[sides],
         solve=DirectSolve(),

@@ -19,7 +19,7 @@ from fishrl.envs.starts import place_fish
 from fishrl.envs.task import AbstractTask
 from fishrl.envs.wakes import WakeBank, WakeRecipe, load_wakes
 from fishrl.physics.bodies.outline import BodyParams, DCylinder
-from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
+from fishrl.physics.boundaries import Boundaries
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import MAX_WALL_SPEED
@@ -29,8 +29,8 @@ from fishrl.settings import Settings
 class Stream(Settings):
     """Streams along +x that differ in speed and in the diameter of their half disc.
 
-    Inflow and sides move with the stream; the outflow is transparent to plane sound waves. The flat
-    side of the half disc faces downstream as in Liao et al. 2003 (the paper does not specify it).
+    Their edges are those of ``Boundaries.make_stream``. The flat side of the half disc faces
+    downstream as in Liao et al. 2003 (the paper does not specify it).
 
     Args:
         speeds_bl: stream speeds, L / T; by default the paper's conditions I, II and III.
@@ -163,13 +163,13 @@ class AbstractStreamTask(AbstractTask):
 
     def flow_config(self) -> FlowConfig:
         """Return the flow of the fastest stream with the fish and, if any, the largest disc."""
-        stream, moving = self.stream, NonEquilibrium(velocity=(1.0, 0.0))
+        stream = self.stream
         largest = sorted(self.discs, key=lambda disc: disc.diameter)[-1:]
         config = replace(
             super().flow_config(),
             stream_speed=self.scales.stream_speed,
             bodies=(self.fish, *largest),
-            boundaries=Boundaries(left=moving, right=OpenEdge(), bottom=moving, top=moving),
+            boundaries=Boundaries.make_stream(),
         )
         for disc in self.discs:
             replace(config, bodies=(disc,))  # raises if its markers lie too close

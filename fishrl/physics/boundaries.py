@@ -67,13 +67,19 @@ class Boundary(ABC):
 
     Attributes:
         is_local: whether the edge's own outgoing populations suffice.
-        velocity: (x, y) that it imposes, in units of the flow's stream speed, or None.
+        velocity: (x, y) that it imposes, in units of the flow's stream speed; None leaves it free.
         profile: how that velocity varies along the edge.
     """
 
     is_local: ClassVar[bool] = False
-    velocity: tuple[float, float] | None
+    velocity: tuple[float | None, float | None] | None
     profile: Profile
+
+    @property
+    def imposed_velocity(self) -> tuple[float, float]:
+        """``velocity``, with 0 for what is free."""
+        x, y = self.velocity or (None, None)
+        return x or 0.0, y or 0.0
 
     @abstractmethod
     def compute_edge(
@@ -111,12 +117,12 @@ class NonEquilibrium(Settings, Boundary):
         profile: how the velocity varies along the edge.
     """
 
-    velocity: tuple[float, float] | None = None
+    velocity: tuple[float | None, float | None] | None = None
     density: Annotated[float, Field(gt=0, lt=2)] | None = None
     profile: Profile = Profile.UNIFORM
 
     def __post_init__(self) -> None:
-        if self.velocity is None and self.density is None:
+        if not any(value is not None for value in (*(self.velocity or ()), self.density)):
             raise ValueError("NonEquilibrium prescribes nothing: give velocity, density or both")
 
     def compute_edge(
@@ -127,22 +133,27 @@ class NonEquilibrium(Settings, Boundary):
         drho, ux, uy = fluid
         # what is not given is the neighbour's; 0.0 * ... gives a number the shape of the edge
         drho_b = drho if self.density is None else 0.0 * drho + (self.density - 1.0)
-        ux_b = ux if self.velocity is None else 0.0 * ux + self.velocity[0] * speed[:, 1:-1]
-        uy_b = uy if self.velocity is None else 0.0 * uy + self.velocity[1] * speed[:, 1:-1]
+        ux_b, uy_b = (
+            own if given is None else 0.0 * own + given * speed[:, 1:-1]
+            for own, given in zip((ux, uy), self.velocity or (None, None), strict=True)
+        )
         return _extrapolate(neighbour, fluid, Macroscopic(drho_b, ux_b, uy_b))
 
 
 class OpenEdge(Settings, Boundary):
     """A non-reflecting edge: sound leaves, where a fixed velocity or density would reflect it.
 
-    Non-equilibrium extrapolation with the velocity of the neighbour and the density of an outgoing
-    wave: rho - 1 = ((rho_n - 1) + (outward velocity less the stream's) / c_s) / 2 (characteristic
-    condition in one dimension, Thompson 1987). Between an inlet of fixed velocity and an outflow of
-    fixed density, sound is reflected back and forth as in an organ pipe and shakes bodies.
+    Non-equilibrium extrapolation with the density of an outgoing wave: rho - 1 = ((rho_n - 1) +
+    (outward velocity less the stream's) / c_s) / 2 (characteristic condition in one dimension,
+    Thompson 1987). Between an inlet of fixed velocity and an outflow of fixed density, sound is
+    reflected back and forth as in an organ pipe and shakes bodies.
+
+    Vortices leave with the stream: deviations of density and velocity from their means along the
+    edge obey d/dt + U d/dn = 0 (implicit, upwind), U being the stream's outward velocity.
 
     Args:
-        is_plane: apply the condition to means along the edge, which vortices that leave do not
-            change; otherwise to each node.
+        is_plane: apply the wave condition to means along the edge, which vortices that leave do not
+            change; otherwise to each node, with the velocity of the neighbour.
         velocity: (x, y) of the undisturbed stream in units of the flow's stream speed.
         profile: how that velocity varies along the edge.
     """
@@ -161,9 +172,23 @@ class OpenEdge(Settings, Boundary):
         stream = speed[:, 1:-1]
         inward = nx * (ux - self.velocity[0] * stream) + ny * (uy - self.velocity[1] * stream)
         wave = 0.5 * (drho - inward * 3.0**0.5)
-        if self.is_plane:  # nodes at the ends may not be complete yet
-            wave = wave[:, 1:-1].mean(-1, keepdim=True) + 0.0 * drho
-        return _extrapolate(neighbour, fluid, Macroscopic(wave, ux, uy))
+        if not self.is_plane:
+            return _extrapolate(neighbour, fluid, Macroscopic(wave, ux, uy))
+        mean = Macroscopic(_average(wave), _average(ux), _average(uy))
+        share = -(nx * self.velocity[0] + ny * self.velocity[1]) * stream
+        own = compute_macroscopic(outgoing)  # collision has kept density and momentum
+        target = []
+        for average, arriving, before in zip(mean, fluid, own, strict=True):
+            excess = arriving - _average(arriving)
+            if nx * self.velocity[0] + ny * self.velocity[1] < 0.0:
+                excess = (before - _average(before) + share * excess) / (1.0 + share)
+            target.append(average + excess)
+        return _extrapolate(neighbour, fluid, Macroscopic(*target))
+
+
+def _average(values: Tensor) -> Tensor:
+    """Return the mean along an edge ``[B, 1]``; nodes at its ends may not be complete yet."""
+    return values[:, 1:-1].mean(-1, keepdim=True)
 
 
 class NoSlip(Settings, Boundary):
@@ -224,6 +249,17 @@ class Boundaries(Settings):
         for a, b in (("left", "right"), ("bottom", "top")):
             if isinstance(getattr(self, a), Periodic) != isinstance(getattr(self, b), Periodic):
                 raise ValueError(f"{a} and {b} must both be Periodic or neither")
+
+    @classmethod
+    def make_stream(cls) -> "Boundaries":
+        """Return the edges of a stream along +x at the flow's ``stream_speed``.
+
+        They make no vorticity: the inflow lets the water move across it and the sides let it move
+        along them, where the bypass of a body is faster than the stream. Vortices and plane sound
+        leave at the outflow.
+        """
+        inflow, side = NonEquilibrium(velocity=(1.0, None)), NonEquilibrium(velocity=(None, 0.0))
+        return cls(left=inflow, right=OpenEdge(), bottom=side, top=side)
 
     def in_order(self) -> list[list[tuple[Side, Boundary]]]:
         """Return the edges in the order in which they are set; each list is independent."""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
-from math import pi
+from math import hypot, pi
 from typing import Annotated, Any, NamedTuple
 
 import torch
@@ -173,8 +173,8 @@ class FlowConfig(Settings):
     @property
     def fastest_edge(self) -> float:
         """Largest speed that an edge imposes, nodes per step."""
-        edges = [boundary.velocity for group in self.boundaries.in_order() for _, boundary in group]
-        speeds = [(x * x + y * y) ** 0.5 for x, y in (v for v in edges if v is not None)]
+        edges = [edge for group in self.boundaries.in_order() for _, edge in group]
+        speeds = [hypot(*edge.imposed_velocity) for edge in edges]
         return abs(self.stream_speed) * max(speeds, default=0.0)
 
     @property
@@ -184,7 +184,7 @@ class FlowConfig(Settings):
         Without their profiles.
         """
         edges = [edge for group in self.boundaries.in_order() for edge in group]
-        given = [(side.value, boundary.velocity) for side, boundary in edges if boundary.velocity]
+        given = [(side.value, boundary.imposed_velocity) for side, boundary in edges]
         entering = [v for normal, v in given if normal[0] * v[0] + normal[1] * v[1] > 0.0]
         num = max(1, len(entering))
         return sum(x for x, _ in entering) / num, sum(y for _, y in entering) / num

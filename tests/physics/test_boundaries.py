@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from fishrl.physics.boundaries import (
     Boundaries,
@@ -13,7 +14,9 @@ from fishrl.physics.boundaries import (
     Side,
 )
 from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.diagnostics import compute_vorticity
 from fishrl.physics.flow import FlowConfig, FlowState, make_rest, make_uniform
+from fishrl.physics.step import step
 from tests.physics.flows import advance
 
 
@@ -60,3 +63,43 @@ def test_profiles_span_the_walls_at_their_ends() -> None:
     torch.testing.assert_close(
         shear.evaluate_profile(Side.LEFT, 5)[1:-1], torch.linspace(-1, 1, 5).double()
     )
+
+
+def test_a_vortex_leaves_a_stream_whose_edges_make_no_vorticity() -> None:
+    """A Taylor vortex leaves at the outflow and another passes a side: 2 % and less remains."""
+    size, speed = 64, 0.1
+    config = FlowConfig(
+        width=size,
+        height=size,
+        tau=0.53,
+        stream_speed=speed,
+        boundaries=Boundaries.make_stream(),
+    )
+    y, x = torch.meshgrid(torch.arange(size).double(), torch.arange(size).double(), indexing="ij")
+    x, y = (x - 44.0) / 6.0, (y - 0.5 * (size - 1)) / 6.0
+    decay = 0.03 * torch.exp(0.5 * (1.0 - x * x - y * y))
+    drho, u, v = -1.5 * decay * decay, speed - y * decay, x * decay
+    state = FlowState(make_uniform(drho[None], u[None], v[None]))
+    before = _measure_vorticity(state)
+    for _ in range(600):  # 40 nodes past the outflow
+        state = step(state, config)
+    assert _measure_vorticity(state) < 0.02 * before
+
+
+def test_a_stream_between_its_edges_stays_as_it_is() -> None:
+    config = FlowConfig(
+        width=20, height=12, tau=0.51, stream_speed=0.1, boundaries=Boundaries.make_stream()
+    )
+    rest = torch.zeros(1, 12, 20, dtype=torch.float64)
+    start = FlowState(make_uniform(rest, rest + 0.1, rest))
+    state = start
+    for _ in range(50):
+        state = step(state, config)
+    assert_close(state.f, start.f, rtol=0.0, atol=1e-15)
+    assert config.inflow == (1.0, 0.0)
+    assert config.fastest_edge == pytest.approx(0.1)
+
+
+def _measure_vorticity(state: FlowState) -> float:
+    _, ux, uy = compute_macroscopic(state.f.unbind(1))
+    return float(compute_vorticity(torch.stack((ux, uy), 1)).abs().max())
