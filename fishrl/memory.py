@@ -1,8 +1,28 @@
 """The memory that flows, buffers and networks need, compared with that of the machine."""
 
 import os
+from collections.abc import Callable
+from typing import Any
 
 import torch
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+
+
+class Weightless(TorchFunctionMode):
+    """Within it modules are made with their sizes but without memory: weights on device "meta".
+
+    Conditions on tensors hold: TorchRL's PPO asks whether the weight of its critic is positive.
+    """
+
+    def __torch_function__(
+        self, func: Callable[..., Any], types: Any, args: Any = (), kwargs: Any = None
+    ) -> Any:
+        """Call a function of torch."""
+        if func is Tensor.__bool__:
+            return True
+        device = {"device": "meta"} if func is torch.empty else {}
+        return func(*args, **(kwargs or {}) | device)
 
 
 def check_memory(*, device: torch.device | str = "cpu", **needed: float) -> None:

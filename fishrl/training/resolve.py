@@ -97,6 +97,7 @@ def _check_memory(plan: Plan, task: AbstractTask, spec: PolicySpec) -> None:
     transition = 2 * (spec.num_inputs + spec.num_actions)
     needed: dict[str, dict[str, float]] = {plan.device: {}, plan.policy_device: {}}
     needed[plan.device]["flows"] = task.flow_config().num_bytes * plan.num_envs
+    needed[plan.policy_device]["networks"] = plan.algorithm.count_bytes(spec)
     needed[plan.policy_device]["buffer"] = 4 * transition * plan.buffer_size * task.num_fish
     for device, parts in needed.items():
         check_memory(device=device, **parts)

@@ -12,6 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.objectives import LossModule
 
 from fishrl.envs import AbstractTask
+from fishrl.memory import Weightless
 from fishrl.settings import Settings
 from fishrl.training.learner import Learner, Networks, OffPolicyLearner
 from fishrl.training.policy_spec import PolicySpec
@@ -76,6 +77,13 @@ class Algorithm(Settings, ABC):
     def make_explorer(self, policy: Any, spec: PolicySpec) -> TensorDictModuleBase:
         """Make the policy that collects, with the same weights; by default the policy itself."""
         return policy
+
+    def count_bytes(self, spec: PolicySpec) -> int:
+        """Return the bytes of all networks, of the gradients and of Adam's two moments."""
+        with Weightless():
+            loss = self.make_loss(self.make_policy(spec), spec, torch.Generator())
+        learned, targets = (sum(t.nbytes for t in ts) for ts in (loss.parameters(), loss.buffers()))
+        return 4 * learned + targets
 
     def assemble(self, networks: Networks, settings: LearningSettings) -> Learner:
         """Return the learner of new networks; by default it replays past transitions.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from random import Random
+
 import pytest
 
 from fishrl.training import Algorithm, DiscreteSAC
@@ -9,7 +11,8 @@ from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
-from tests.training.conftest import Toy
+from fishrl.training.policy_spec import PolicySpec
+from tests.training.conftest import QUICK, Toy
 
 
 def test_algorithms_have_unique_labels() -> None:
@@ -52,3 +55,32 @@ def test_ppo_derives_the_settings_that_follow_from_its_rollout(toy: Toy) -> None
     learning = toy.begin(algorithm=PPO(rollout_length=8), batch_size=32).plan
     assert (learning.warmup_frames, learning.buffer_size) == (0, 64)
     assert learning.updates_per_frame == 10 / 32
+
+
+ALGORITHMS = (DiscreteSAC(), DQN(), DRQN(), SAC(), PPO(rollout_length=8))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda algorithm: type(algorithm).__name__)
+def test_estimated_memory_is_that_of_a_learner(toy: Toy, algorithm: Algorithm, seed: int) -> None:
+    draw = Random(seed)
+    hidden = tuple(draw.randint(1, 300) for _ in range(draw.randint(1, 3)))
+    task = {"is_continuous": isinstance(algorithm, SAC)}
+    training = toy.begin(algorithm=algorithm, hidden=hidden, task=task, **QUICK)
+    learner = training.learner
+    for batch in training.collector:
+        learner.store(batch.reshape(-1))
+        if learner.is_ready:
+            break
+    learner.update()
+    training.close()
+    weights, targets = list(learner.loss.parameters()), learner.loss.buffers()
+    gradients = [weight.grad for weight in weights if weight.grad is not None]
+    moments = [moment for state in learner.optimiser.state.values() for moment in state.values()]
+    needed = sum(tensor.nbytes for tensor in (*weights, *targets, *gradients, *moments))
+    assert algorithm.count_bytes(training.resolved.spec) == pytest.approx(needed, rel=0.2)
+
+
+def test_networks_of_30_000_units_do_not_fit_into_24_gib() -> None:
+    spec = PolicySpec(task="Predation", num_inputs=12, num_actions=5, hidden=(30_000, 30_000))
+    assert DiscreteSAC().count_bytes(spec) > 24 * 2**30
