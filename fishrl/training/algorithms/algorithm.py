@@ -82,8 +82,8 @@ class Algorithm(Settings, ABC):
         """Return the bytes of all networks, of the gradients and of Adam's two moments."""
         with Weightless():
             loss = self.make_loss(self.make_policy(spec), spec, torch.Generator())
-        learned, targets = (sum(t.nbytes for t in ts) for ts in (loss.parameters(), loss.buffers()))
-        return 4 * learned + targets
+        copies = [*loss.buffers(), *4 * list(loss.parameters())]
+        return sum(tensor.nbytes for tensor in copies)
 
     def assemble(self, networks: Networks, settings: LearningSettings) -> Learner:
         """Return the learner of new networks; by default it replays past transitions.
