@@ -11,16 +11,16 @@ from typing import Any
 import yaml
 from markdown_it import MarkdownIt
 
+from fishrl.programs import view
 from fishrl.programs.figures.learning_curve import Curve, draw_curves, read_metrics
-from fishrl.programs.gait import figures
 from fishrl.programs.gait.tables import divide_work
-from fishrl.programs.gait.trials import list_shedding, load_trial
 from fishrl.programs.pages import write_table
-from fishrl.programs.statistics import Statistic, show
+from fishrl.programs.statistics import find_mean, show
 from fishrl.programs.summarize import summarize
 from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
 from fishrl.settings import flatten, to_plain
+from fishrl.training.callback import SILENT
 from fishrl.training.run_folder import read_config
 
 #: Folder and name of each kind of policy in the second task.
@@ -36,8 +36,7 @@ TRAINING = {
     "return, mean of 32 episodes": "train/return",
     "actor loss": "train/loss_actor",
 }
-#: Time before the first moment of the figure ``period``, in which fish find their place, T.
-SETTLED_T = 20.0
+FILM_T = 24.0  # duration of the film of the second task, in which fish find their place
 HEADS = ("quantity, in the flows I, II, III", "paper", "ours", "likely reason of a difference")
 
 
@@ -83,7 +82,7 @@ def compare(transfer: Any, line: Any, captures: Sequence[float]) -> str:
         "frequency": write(".2f", (flow["frequency_over_shedding"] for flow in both)),
         "angle": write(".1f", (flow["angle_max"] for flow in both)),
         "work": write(".1f", (divide_work(*pair, "lateral_work") for pair in works)),
-        "capture": Statistic.of(captures).show(".1f"),
+        "capture": find_mean(captures).show(".1f"),
         "fitted": f"{line['paper']['fitted_accuracy']:.0%}",
         "held_out": f"{line['paper']['held_out_accuracy']:.0%}",
         "own_held_out": f"{line['classifier']['held_out_accuracy']:.0%}",
@@ -109,7 +108,7 @@ def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> No
     places = {"folder": folder, "classifier": find_fitted(folder), "hunt": runs["predation"][0]}
     for name, figure in read_paper()["figures"].items():
         if "file" in figure:
-            copyfile(figure["file"].format(**places), pictures / f"{name}.png")
+            copyfile(figure["file"].format(**places), pictures / name)
     curves = {
         title: [
             Curve(name, *metrics[column], number=number)
@@ -120,13 +119,9 @@ def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> No
         for title, column in TRAINING.items()
     }
     draw_curves(pictures / "training.png", curves)
-    trial = load_trial(runs["both"][0])
-    figures.write_period(
-        pictures / "period.png",
-        trial,
-        lead_T=SETTLED_T,
-        periods_T=[1.0 / frequency for frequency in list_shedding(trial.task)],
-    )
+    film = pictures / "gait.gif"
+    words = [f"checkpoint={runs['both'][0]}", f"periods={FILM_T}", f"save={film}"]
+    view.record(view.main.read(words), save=film, url=None, progress=SILENT)
 
 
 def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) -> Path:
@@ -163,7 +158,7 @@ def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) 
         "## Task 2: Kármán gait",
         (folder / "transfer" / "transfer.md").read_text(encoding="utf-8"),
         "## Figures",
-        *(f"![{text}](figures/{name}.png)\n\n*{text}*" for name, text in shown.items()),
+        *(f"![{text}](figures/{name})\n\n*{text}*" for name, text in shown.items()),
         "## Jobs",
         write_table(("job", "program", "hours"), spent),
     ]

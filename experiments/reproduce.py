@@ -89,17 +89,11 @@ class ReproduceSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """A program to run.
+    """A program to run."""
 
-    Args:
-        name: of the job.
-        words: program and settings.
-        num_runs: of a training, one per seed.
-    """
-
-    name: str
-    words: tuple[str, ...]
-    num_runs: int = 0
+    name: str  #: name of the job
+    words: tuple[str, ...]  #: program and settings
+    num_runs: int = 0  #: runs of a training, one per seed
 
 
 def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path) -> Job:

@@ -1,9 +1,10 @@
 """The main claim of each study, from its data; a test runs all ``check_*``."""
 
+from hashlib import sha256
 from math import isclose
 from statistics import fmean
 
-from studies.tables import read_data
+from studies.tables import STUDIES, read_data
 
 
 def read(study: str, name: str, *keys: str) -> dict[tuple[str, ...], dict[str, str]]:
@@ -132,3 +133,12 @@ def check_robustness() -> None:
     name = "beyond pid, T"
     assert len(rows) == 30
     assert all(float(row[f"{name} low"]) <= 0 <= float(row[f"{name} high"]) for row in rows)
+
+
+def check_steering() -> None:
+    """The file in the package is the one that was exported, of a policy of predation."""
+    layers = read_data("steering", "layers")
+    assert (layers[0]["inputs"], layers[-1]["outputs"]) == ("16", "3")
+    content = (STUDIES.parent / "fishrl" / "envs" / "steering.pt").read_bytes()
+    page = (STUDIES / "steering" / "README.md").read_text(encoding="utf-8")
+    assert sha256(content).hexdigest() in page

@@ -58,35 +58,22 @@ class BenchmarkSettings(Settings):
 
 @dataclass(kw_only=True)
 class Case:
-    """What is advanced, and what was measured.
+    """What is advanced, and what was measured."""
 
-    Attributes:
-        label: by which goals and figures find it, such as "large/walls".
-        name: the case in words.
-        advance: runs so many steps, and may return further numbers ``dict[str, float]``.
-        prepare: is called before each burst and not timed.
-        scope: how much of a step it is: kernel, periodic, with walls, with fish.
-        num_nodes: node updates of one step, all flows together.
-        working_set: bytes that a step goes through.
-        bytes_per_update: that a node update moves if each population is read and written once.
-        num_steps: of each burst. None: as many as fill one, an even number. 0: no bursts.
-        facts: numbers known in advance, and words.
-        measured: by round, "seconds" of one step and further numbers.
-        group: the group of measurements.
-    """
-
-    label: str
-    name: str
-    advance: Any = None
-    prepare: Any = None
-    scope: str = ""
-    num_nodes: int = 0
-    working_set: int = 0
+    label: str  #: by which goals and figures find it, such as "large/walls"
+    name: str  #: the case in words
+    advance: Any = None  #: runs so many steps, and may return further numbers ``dict[str, float]``
+    prepare: Any = None  #: is called before each burst and not timed
+    scope: str = ""  #: how much of a step it is: kernel, periodic, with walls, with fish
+    num_nodes: int = 0  #: node updates of one step, all flows together
+    working_set: int = 0  #: bytes that a step goes through
+    #: bytes that a node update moves if each population is read and written once
     bytes_per_update: int = 72
-    num_steps: int | None = None
-    facts: dict[str, Any] = field(default_factory=dict)
+    num_steps: int | None = None  #: of a burst; None: an even number that fills it; 0: no bursts
+    facts: dict[str, Any] = field(default_factory=dict)  #: numbers known in advance, and words
+    #: by round, "seconds" of one step and further numbers
     measured: dict[str, list[float]] = field(default_factory=dict)
-    group: str = ""
+    group: str = ""  #: the group of measurements
 
 
 @dataclass(kw_only=True)

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.benchmarks.measuring import Case, Results
-from fishrl.programs.pages import fill, write_table
+from fishrl.programs.pages import write_table
 
-MARK = "measured"  # name of the place of the page that is filled
+BEGIN, END = (f"<!-- measured: {mark} -->" for mark in ("begin", "end"))
 
 
 class Spread(NamedTuple):
@@ -158,8 +158,13 @@ def describe_run(results: Results) -> str:
 
 
 def write_page(results: Results, figures: dict[Path, str], page: Path) -> None:
-    """Put tables and figures, which have captions, into the marked place of a page."""
+    """Replace what stands between the marks of a page by tables and figures with captions."""
     pictures = [
         f"![{caption}]({path.relative_to(page.parent)})" for path, caption in figures.items()
     ]
-    fill(page, MARK, "\n\n".join([render(results), *pictures]))
+    before, begin, rest = page.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise ValueError(f"{page}: put one line {BEGIN} and below it one line {END} into it")
+    text = "\n\n".join([render(results), *pictures])
+    page.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")

@@ -58,7 +58,6 @@ def run_episodes(
     starts: TensorDictBase,
     *,
     max_decisions: int | None = None,
-    exploration: ExplorationType = ExplorationType.DETERMINISTIC,
     on_begin: Callable[[Tensor, TensorDictBase], Values] | None = None,
     on_step: Callable[[Tensor, TensorDictBase], Values] | None = None,
     on_frame: Callable[[Tensor, FlowEnv], Values] | None = None,
@@ -81,7 +80,6 @@ def run_episodes(
         starts: ``[E]``, as ``task.sample_starts`` returns.
         max_decisions: decisions after which all episodes are stopped; those still running count
             as neither succeeded nor terminated. By default the time limit of the env ends them.
-        exploration: how a learned policy chooses: greedily by default, or by sampling.
         on_begin: called with the rows that have just begun, and the state ``[B]`` after their
             reset.
         on_step: called after each decision with the rows that ran, and the step ``[B]`` as the env
@@ -114,7 +112,7 @@ def run_episodes(
     with (
         base.set_starts(starts, on_frame=show_frame if on_frame else base.on_frame),
         torch.no_grad(),
-        set_exploration_type(exploration),
+        set_exploration_type(ExplorationType.DETERMINISTIC),
     ):
         state, has_begun = env.reset(), start_of >= 0
         while (is_open := start_of >= 0).any() and num_decisions != max_decisions:

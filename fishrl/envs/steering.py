@@ -146,7 +146,10 @@ class PolicySteering(Settings, Steering):
 
 
 def save_weights(layers: list[tuple[Tensor, Tensor]], path: str | Path) -> None:
-    """Write the weights ``[out, in]`` and biases ``[out]`` of a network with ReLU in between."""
+    """Write the weights ``[out, in]`` and biases ``[out]`` of a network with ReLU in between.
+
+    Those of a policy are in the ``nn.Linear`` among ``load_policy("runs/<name>").modules()``.
+    """
     torch.save([(weight.detach().cpu(), bias.detach().cpu()) for weight, bias in layers], path)
 
 
@@ -156,7 +159,7 @@ def load_weights(path: str | Path) -> list[tuple[Tensor, Tensor]]:
     Raises:
         ValueError: if the file holds no network with 16 inputs and 3 actions.
     """
-    what, remedy = "steering weights", "write the file with experiments.export_steering"
+    what, remedy = "steering weights", "write the file with save_weights"
     layers = load_tensors(path, what=what, remedy=remedy)
     try:
         sizes = [16, *(len(bias) for _, bias in layers)]

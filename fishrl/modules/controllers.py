@@ -115,15 +115,12 @@ class InterceptPolicy(_TurningPolicy):
     by a straight line reaches in time (Dubins 1957: shortest paths of bounded curvature, free final
     heading). Points inside the turning circle are out of reach, so a later one is chosen.
 
-    An unknown first direction follows from the food's velocity: the change of the y distance, plus
-    the fish's velocity, estimated from the change of the x distance (the food moves along y only).
-
     Args:
         food_speed_bl: speed of the moving food in body lengths per tail beat.
         food_limits_bl: lowest and highest y of the food.
         food_start_bl: y of the food at rest.
         food_still_T: tail beats for which the food stays at rest after the start.
-        food_direction: +1 if the food first moves up, -1 down, 0 to estimate it.
+        food_direction: +1 if the food first moves up, -1 down.
         turn: see ``PursuitPolicy``.
         is_continuous: see ``PursuitPolicy``.
     """
@@ -148,11 +145,11 @@ class InterceptPolicy(_TurningPolicy):
     def aim(self, tensordict: TensorDictBase) -> Tensor:
         """Return the turn of the shortest path to the meeting point."""
         stack = tensordict["observation_stack"].unflatten(-1, (-1, NUM_FEATURES))
-        x, y, heading = stack[..., -1, :1], stack[..., -1, 1:2], _heading(stack[..., -1:, :])
+        x, y = stack[..., -1, :1], stack[..., -1, 1:2]
+        heading = torch.atan2(y, x) - stack[..., -1, 3:]
         lead = torch.arange(0.0, HORIZON_T, 0.25, device=stack.device)
         now = tensordict["step_count"].to(stack.dtype)
-        direction = self._food_direction_of(stack, now)
-        rise = self._food_height(now + lead, direction) - self._food_height(now, direction)
+        rise = self._food_height(now + lead) - self._food_height(now)
         y, cos, sin = y + rise, heading.cos(), heading.sin()  # then, in the frame of the nose now
         length, angle = _shortest_path(cos * x + sin * y, cos * y - sin * x, TURN_RADIUS_BL)
         is_in_time = length <= SWIM_SPEED_BL * lead
@@ -160,47 +157,14 @@ class InterceptPolicy(_TurningPolicy):
         delay = torch.where(is_in_time, lead - HORIZON_T, length / SWIM_SPEED_BL - lead)
         return angle.gather(-1, delay.argmin(-1, keepdim=True)).squeeze(-1)
 
-    def _food_direction_of(self, stack: Tensor, now: Tensor) -> Tensor:
-        """Return the food's first direction ``[B, 1]``, known or estimated from observations."""
-        up = torch.ones_like(now)
-        if self.food_direction != 0:
-            return up * self.food_direction
-        velocity = self._food_velocity(stack).unsqueeze(-1)
-        before = (now - 1.0).clamp_min(0.0)
-        misfit = [
-            (self._food_height(now, way) - self._food_height(before, way) - velocity).abs()
-            for way in (up, -up)
-        ]
-        return torch.where(misfit[0] <= misfit[1], up, -up)
-
-    def _food_velocity(self, stack: Tensor) -> Tensor:
-        """Estimate the food's velocity in y, ``[B]``: one of minus its speed, zero, its speed."""
-        two = stack[..., -2:, :]
-        change = two[..., 1, :2] - two[..., 0, :2]
-        is_new = change.abs().sum(-1) > 0  # after a reset the first observation fills the stack
-        course = 0.5 * _heading(two).sum(-1)
-        along = course.cos()
-        # The food moves along y only: the change of x gives the fish's speed along its course.
-        own = torch.where(
-            along.abs() > 0.3, -change[..., 0] / along, torch.full_like(along, SWIM_SPEED_BL)
-        )
-        velocity = change[..., 1] + own.clamp(0.0, 2.0 * SWIM_SPEED_BL) * course.sin()
-        is_moving = (velocity.abs() > 0.5 * self.food_speed_bl) & is_new
-        return torch.where(is_moving, velocity.sign() * self.food_speed_bl, 0.0)
-
-    def _food_height(self, time: Tensor, direction: Tensor) -> Tensor:
+    def _food_height(self, time: Tensor) -> Tensor:
         """Return y of the food at ``time`` (in T): at rest, then oscillating between its limits."""
         low, high = self.food_limits_bl
         travelled = self.food_speed_bl * (time - self.food_still_T).clamp_min(0.0)
         span, offset = high - low, self.food_start_bl - low
-        start = torch.where(direction > 0, offset, 2.0 * span - offset)
+        start = offset if self.food_direction > 0 else 2.0 * span - offset
         folded = (start + travelled) % (2.0 * span)
         return low + torch.minimum(folded, 2.0 * span - folded)
-
-
-def _heading(observation: Tensor) -> Tensor:
-    """Return the heading of the fish ``[...]`` in radians from observations ``[..., 4]``."""
-    return torch.atan2(observation[..., 1], observation[..., 0]) - observation[..., 3]
 
 
 def _shortest_path(ahead: Tensor, left: Tensor, radius: float) -> tuple[Tensor, Tensor]:

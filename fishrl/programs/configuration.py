@@ -39,27 +39,18 @@ Node = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class CommandLine:
-    """The settings that a program accepts, as ``key=value`` and ``group=name``.
+    """The settings that a program accepts, as ``key=value`` and ``group=name``."""
 
-    Args:
-        name: name of the program.
-        schema: class of its settings.
-        groups: config groups in the order in which they override each other, and the default
-            choice in each, ``None`` for nothing. Without ``algorithm``, only the task of a
-            ``preset`` is used.
-        conf: folder of YAML files in addition to fishrl's.
-        stored: given the settings of the command line, returns those of a stored run.
-        positional: setting whose value is a word without ``=``.
-        others: setting that lists all words but those of the schema.
-    """
-
-    name: str
-    schema: type
+    name: str  #: name of the program
+    schema: type  #: class of its settings
+    #: config groups in the order in which they override each other, and the default choice in each,
+    #: ``None`` for nothing; without ``algorithm``, only the task of a ``preset`` is used
     groups: Mapping[str, str | None] = field(default_factory=dict)
-    conf: Path | None = None
+    conf: Path | None = None  #: folder of YAML files in addition to fishrl's
+    #: given the settings of the command line, returns those of a stored run
     stored: Callable[[Node], Node] | None = None
-    positional: str | None = None
-    others: str | None = None
+    positional: str | None = None  #: setting whose value is a word without ``=``
+    others: str | None = None  #: setting that lists all words but those of the schema
 
     def __post_init__(self) -> None:
         """Tell hydra the groups and defaults, and to leave folders and logs alone."""

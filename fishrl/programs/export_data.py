@@ -10,7 +10,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import torch
 from pydantic import PositiveInt
 
 from fishrl.programs.policy_settings import PolicySettings, read_task
@@ -31,14 +30,12 @@ class ExportDataSettings(PolicySettings):
         folder: folder of the datasets; Minari finds them by ``MINARI_DATASETS_PATH=<folder>``.
         episodes: fixed starts, one episode each.
         num_envs: flows that advance together.
-        samples_actions: sample the actions of a stochastic policy (SAC, PPO), as in training.
     """
 
     name: str
     folder: str = "datasets"
     episodes: PositiveInt = 64
     num_envs: PositiveInt = 16
-    samples_actions: bool = False
 
 
 def record(settings: ExportDataSettings, *, progress: Callback = SILENT) -> "MinariDataset":
@@ -49,7 +46,6 @@ def record(settings: ExportDataSettings, *, progress: Callback = SILENT) -> "Min
     task, recognition, policy = settings.make_policy()
     num_envs = min(settings.num_envs, settings.episodes)
     env = settings.make_env(task, recognition, num_envs=num_envs, progress=progress)
-    torch.manual_seed(settings.seed)  # of sampled actions
     with closing(env):
         progress.on_phase("episodes", total=settings.episodes)
         return write_dataset(
@@ -59,7 +55,6 @@ def record(settings: ExportDataSettings, *, progress: Callback = SILENT) -> "Min
             name=settings.name,
             folder=settings.folder,
             seed=settings.seed,
-            samples_actions=settings.samples_actions,
             algorithm=settings.learned or settings.policy,
             on_episodes=progress.on_progress,
         )

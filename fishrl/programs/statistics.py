@@ -19,7 +19,7 @@ FEWEST = 6
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """An estimate and its 95 % interval."""
+    """An estimate and its 95 % interval, of NaN where there are too few values."""
 
     value: float
     low: float
@@ -31,26 +31,6 @@ class Interval:
             return "–"
         value = format(self.value, form)
         return value if math.isnan(self.low) else f"{value} [{self.low:{form}}, {self.high:{form}}]"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Statistic:
-    """One number over several seeds: count, mean and half-width of its interval."""
-
-    count: int
-    mean: float
-    half_width: float
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> "Statistic":
-        """Reduce the values that are not NaN; without any, everything is NaN."""
-        known = [value for value in values if not math.isnan(value)]
-        mean = float(np.mean(known)) if known else math.nan
-        return cls(count=len(known), mean=mean, half_width=half_width(known))
-
-    def show(self, form: str) -> str:
-        """Write mean ± half width, each in a format such as ``.1%``; a dash without values."""
-        return show(self.mean, form, self.half_width)
 
 
 def show(value: float, form: str, error: float = math.nan) -> str:
@@ -65,6 +45,13 @@ def half_width(values: Sequence[float]) -> float:
     if len(values) < 2:
         return math.nan
     return float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
+
+
+def find_mean(values: Sequence[float]) -> Interval:
+    """Return the mean of the values that are not NaN; without any, everything is NaN."""
+    known = [value for value in values if not math.isnan(value)]
+    mean, half = float(np.mean(known)) if known else math.nan, half_width(known)
+    return Interval(value=mean, low=mean - half, high=mean + half)
 
 
 def find_interquartile_mean(values: Sequence[float]) -> Interval:

@@ -6,6 +6,7 @@ and probability of improvement, each run next to its baselines, and runs to repe
 ``summary.csv`` (every number of the summaries), ``runs.csv`` (each run) and ``curves.png``.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,9 +18,9 @@ from fishrl.programs.figures.learning_curve import RATE, Curve, draw_curves, rea
 from fishrl.programs.pages import write_csv, write_table
 from fishrl.programs.program import program
 from fishrl.programs.statistics import (
-    Statistic,
     find_improvement,
     find_interquartile_mean,
+    find_mean,
     half_width,
 )
 from fishrl.programs.sweeps.groups import Group, group_runs, is_number
@@ -126,8 +127,8 @@ def tabulate_groups(groups: Sequence[Group]) -> str:
         row = [*group.settings.values(), f"{finished}/{begun}" if finished < begun else f"{begun}"]
         for _, name, form in COLUMNS:
             values = group.numbers(name)
-            row += [Statistic.of(values).show(form), find_interquartile_mean(values).show(form)]
-        minutes = Statistic.of([seconds / 60.0 for seconds in group.numbers("wall_seconds")])
+            row += [find_mean(values).show(form), find_interquartile_mean(values).show(form)]
+        minutes = find_mean([seconds / 60.0 for seconds in group.numbers("wall_seconds")])
         rows.append([*row, minutes.show(".1f")])
     return write_table([*heads, "minutes"], rows)
 
@@ -143,8 +144,8 @@ def tabulate_differences(groups: Sequence[Group]) -> str:
         row = [group.label]
         for _, name, form in COMPARED:
             ours, theirs = first.by_seed(name), group.by_seed(name)
-            found = Statistic.of([ours[seed] - theirs[seed] for seed in ours if seed in theirs])
-            is_clear = abs(found.mean) > found.half_width
+            found = find_mean([ours[seed] - theirs[seed] for seed in ours if seed in theirs])
+            is_clear = found.low > 0.0 or found.high < 0.0
             row.append(f"**{found.show(form)}**" if is_clear else found.show(form))
         curves = (group.numbers("curve_mean") for group in (first, group))
         rows.append([*row, find_improvement(*curves).show(".2f")])
@@ -183,11 +184,11 @@ def write_csv_files(groups: Sequence[Group], folder: Path) -> None:
     rows: list[list[Any]] = []
     for group in groups:
         for name in names:
-            found = Statistic.of(group.numbers(name))
-            ends = (found.mean - found.half_width, found.mean + found.half_width)
-            iqm = find_interquartile_mean(group.numbers(name)).value
-            numbers = ("" if x != x else f"{x:.10g}" for x in (found.mean, *ends, iqm))
-            rows.append([*group.settings.values(), name, found.count, *numbers])
+            values = group.numbers(name)
+            found, iqm = find_mean(values), find_interquartile_mean(values).value
+            results = (found.value, found.low, found.high, iqm)
+            numbers = ("" if math.isnan(x) else f"{x:.10g}" for x in results)
+            rows.append([*group.settings.values(), name, len(values), *numbers])
     heads = [*keys, "metric", "seeds", "mean", "ci95_low", "ci95_high", "iqm"]
     write_csv(folder / "summary.csv", heads, rows)
     rows = []

@@ -19,27 +19,20 @@ from fishrl.training.tracing import Traced
 
 
 class Networks(NamedTuple):
-    """The networks of an algorithm, on the device where they learn.
+    """The networks of an algorithm, on the device where they learn."""
 
-    Attributes:
-        actor: policy that is evaluated and saved, greedy under ``ExplorationType.DETERMINISTIC``.
-        explorer: policy that collects, with the same weights; the collector saves its state.
-        loss: the sum of its outputs ``loss_...`` is minimised; all are logged as ``train/<name>``.
-        transforms: transforms that the explorer needs in its environment.
-        sampler: draws batches from the buffer; by default uniformly.
-        keys: entries of a transition to store in addition to those that the loss reads.
-        is_traced: see ``Algorithm``.
-        num_fish: fish in a flow; the buffer holds the decisions of each.
-    """
-
+    #: policy that is evaluated and saved, greedy under ``ExplorationType.DETERMINISTIC``
     actor: TensorDictModuleBase
+    #: policy that collects, with the same weights; the collector saves its state
     explorer: TensorDictModuleBase
+    #: the sum of its outputs ``loss_...`` is minimised; all are logged as ``train/<name>``
     loss: LossModule
-    transforms: Sequence[Transform] = ()
-    sampler: Sampler | None = None
+    transforms: Sequence[Transform] = ()  #: that the explorer needs in its environment
+    sampler: Sampler | None = None  #: draws batches from the buffer; by default uniformly
+    #: entries of a transition to store in addition to those that the loss reads
     keys: Sequence[Any] = ()
-    is_traced: bool = False
-    num_fish: int = 1
+    is_traced: bool = False  #: see ``Algorithm``
+    num_fish: int = 1  #: fish in a flow; the buffer holds the decisions of each
 
 
 class Learner(ABC):

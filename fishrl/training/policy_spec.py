@@ -14,25 +14,15 @@ CHECKED = ("task", "is_continuous", "num_inputs", "num_stacked", "num_actions")
 
 @dataclass(frozen=True, kw_only=True)
 class PolicySpec:
-    """Task and sizes of a policy; it fits no others.
+    """Task and sizes of a policy; it fits no others."""
 
-    Args:
-        task: name of the task's class.
-        num_inputs: length of the stacked observation.
-        num_actions: number of actions, or of the numbers in a continuous one.
-        num_stacked: observations in a stack.
-        is_continuous: whether actions are continuous.
-        num_fish: fish in a flow for each of which it decides.
-        hidden: widths of the hidden layers of all networks.
-    """
-
-    task: str
-    num_inputs: int
-    num_actions: int
-    num_stacked: int = 1
-    is_continuous: bool = False
-    num_fish: int = 1
-    hidden: tuple[int, ...] = (256, 256)
+    task: str  #: name of the task's class
+    num_inputs: int  #: length of the stacked observation
+    num_actions: int  #: number of actions, or of the numbers in a continuous one
+    num_stacked: int = 1  #: observations in a stack
+    is_continuous: bool = False  #: whether actions are continuous
+    num_fish: int = 1  #: fish in a flow for each of which it decides
+    hidden: tuple[int, ...] = (256, 256)  #: widths of the hidden layers of all networks
 
     @property
     def sizes(self) -> dict[str, Any]:

@@ -21,21 +21,13 @@ from fishrl.training.settings import check_device
 
 @dataclass(frozen=True, kw_only=True)
 class ResolvedRun:
-    """A run whose settings fit together and can run on this machine; ``resolve`` makes it.
+    """A run whose settings fit together and can run on this machine; ``resolve`` makes it."""
 
-    Attributes:
-        plan: its settings.
-        task: task of the plan, which reads the flow labels if there are any.
-        spec: sizes of its policy.
-        baselines: names of the policies to compare with.
-        make_flows: makes its flows, given ``num_envs`` and ``seed``.
-    """
-
-    plan: Plan
-    task: AbstractTask
-    spec: PolicySpec
-    baselines: tuple[str, ...]
-    make_flows: Callable[..., TransformedEnv]
+    plan: Plan  #: its settings
+    task: AbstractTask  #: task of the plan, which reads the flow labels if there are any
+    spec: PolicySpec  #: sizes of its policy
+    baselines: tuple[str, ...]  #: names of the policies to compare with
+    make_flows: Callable[..., TransformedEnv]  #: makes its flows, given ``num_envs`` and ``seed``
 
     @property
     def success(self) -> str:

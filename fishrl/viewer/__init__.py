@@ -1,7 +1,7 @@
 """Flows drawn with rerun, which is imported on use: recordings in files, and live views."""
 
 from fishrl.viewer.blueprint import make_blueprint
-from fishrl.viewer.drawing import TIMELINE, Drawing, FieldFormat
+from fishrl.viewer.drawing import TIMELINE, Drawing
 from fishrl.viewer.files import (
     check_folder,
     find_recording,
@@ -16,7 +16,6 @@ from fishrl.viewer.settings import ViewerSettings
 __all__ = [
     "TIMELINE",
     "Drawing",
-    "FieldFormat",
     "Recording",
     "Server",
     "ViewerSettings",

@@ -8,7 +8,6 @@ import io
 import logging
 from collections import deque
 from collections.abc import Mapping
-from enum import StrEnum
 from types import ModuleType
 from typing import Any
 
@@ -28,6 +27,7 @@ from fishrl.viewer.colours import (
     quantise,
     space_ticks,
 )
+from fishrl.viewer.settings import FieldFormat
 
 logger = logging.getLogger(__name__)
 
@@ -39,16 +39,6 @@ _LEGAL, _CHOSEN = (120, 170, 130), (230, 159, 0)
 _RIM = (20, 20, 20)
 _THIN = -0.5
 Points = NDArray[np.float32]
-
-
-class FieldFormat(StrEnum):
-    """How the field is stored: ``JPEG`` small, colours fixed; ``U8`` larger, values and colour map.
-
-    ``U8`` has 255 levels; the viewer shows values under the mouse and chooses the colour map.
-    """
-
-    JPEG = "jpeg"
-    U8 = "u8"
 
 
 def name_flow(flow: int) -> str:
@@ -75,7 +65,7 @@ class Drawing:
         scene: Scene,
         *,
         flows: Mapping[int, str],
-        field_format: FieldFormat = FieldFormat.JPEG,
+        field_format: FieldFormat = "jpeg",
         is_live: bool = False,
     ) -> None:
         import rerun
@@ -254,7 +244,7 @@ class Drawing:
         levels = (
             f"A stored value v means {field.low:g} + (v - 1) / 254 × {field.limit - field.low:g}."
         )
-        if self.field_format is FieldFormat.JPEG:
+        if self.field_format == "jpeg":
             levels = "The colours are stored."
         name = ", ".join(filter(None, (field.name, field.note)))
         about = (
@@ -334,7 +324,7 @@ def _encode(
 ) -> Any:
     """Encode levels ``[Y, X]`` of a field, top row first."""
     looks: dict[str, Any] = {"draw_order": 0.0, "magnification_filter": "Linear"}
-    if field_format is FieldFormat.JPEG:
+    if field_format == "jpeg":
         buffer = io.BytesIO()
         colours = paint(levels, RED_BLUE if field.is_signed else WHITE_BLUE)
         # colours at full resolution: at half of it, the few nodes of a vortex become blocks

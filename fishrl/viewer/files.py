@@ -7,12 +7,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from fishrl.envs.scene import Scene
 from fishrl.viewer.blueprint import make_blueprint
-from fishrl.viewer.drawing import TIMELINE, Drawing, FieldFormat
+from fishrl.viewer.drawing import TIMELINE, Drawing
 from fishrl.viewer.process import Viewer
+from fishrl.viewer.settings import FieldFormat
 
 _APPLICATION = "fishrl"
 _PATIENCE_S = 900.0
@@ -29,12 +30,12 @@ def start_drawing(
     flows: Mapping[int, str],
     save: str | os.PathLike[str] | None = None,
     url: str | None = None,
-    field_format: FieldFormat | str = FieldFormat.JPEG,
+    field_format: FieldFormat = "jpeg",
 ) -> Drawing:
     """Begin to draw flows, given their titles by index, into a file, a viewer, or both.
 
     ``save`` is the path of the ``.rrd`` file, which is replaced if it exists, ``url`` is that of
-    a viewer's server, see ``process.Server``; ``field_format`` is ``jpeg`` or ``u8``.
+    a viewer's server, see ``process.Server``; ``field_format`` is as in ``ViewerSettings``.
 
     Raises:
         ValueError: if the format is unknown, or neither file nor viewer is given.
@@ -42,7 +43,8 @@ def start_drawing(
     """
     import rerun as rr
 
-    chosen = FieldFormat(field_format)
+    if field_format not in get_args(FieldFormat):
+        raise ValueError(f"field_format = {field_format!r}: must be jpeg or u8")
     if save is None and url is None:
         raise ValueError("neither save nor url is given: give one of them")
     sinks: list[Any] = []
@@ -64,7 +66,7 @@ def start_drawing(
         batcher_config=None if is_live else batches,
     )
     stream.set_sinks(*sinks, default_blueprint=make_blueprint(scene, flows, is_live=is_live))
-    return Drawing(stream, scene, flows=flows, field_format=chosen, is_live=is_live)
+    return Drawing(stream, scene, flows=flows, field_format=field_format, is_live=is_live)
 
 
 def open_recording(path: str | os.PathLike[str]) -> None:

@@ -6,6 +6,10 @@ from pydantic import Field, PositiveFloat, PositiveInt
 
 from fishrl.settings import Role, Settings
 
+#: How the field is stored: ``jpeg`` small, with fixed colours; ``u8`` larger, with 255 levels: the
+#: viewer shows values under the mouse and chooses the colour map.
+FieldFormat = Literal["jpeg", "u8"]
+
 
 class ViewerSettings(Settings):
     """Which flows are shown, how often and how.
@@ -27,7 +31,7 @@ class ViewerSettings(Settings):
     flows: Annotated[tuple[int, ...] | None, Role.HARMLESS] = None
     frames_per_T: Annotated[PositiveInt, Role.HARMLESS] = 8
     field: Annotated[Literal["vorticity", "pressure", "speed"], Role.HARMLESS] = "vorticity"
-    field_format: Annotated[Literal["jpeg", "u8"], Role.HARMLESS] = "jpeg"
+    field_format: Annotated[FieldFormat, Role.HARMLESS] = "jpeg"
     field_limit: Annotated[PositiveFloat | None, Role.HARMLESS] = None
     port: Annotated[int, Field(ge=1024, le=65000), Role.HARMLESS] = 9876
     live_share: Annotated[PositiveFloat, Field(le=1), Role.HARMLESS] = 0.1

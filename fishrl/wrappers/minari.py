@@ -14,7 +14,6 @@ import numpy as np
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
-from torchrl.envs.utils import ExplorationType
 
 from fishrl.envs.episodes import Policy, run_episodes
 from fishrl.extras import show_install
@@ -49,7 +48,6 @@ def write_dataset(
     name: str,
     folder: str | Path,
     seed: int = 0,
-    samples_actions: bool = False,
     algorithm: str | None = None,
     on_episodes: Callable[[int], None] | None = None,
 ) -> minari.MinariDataset:
@@ -65,7 +63,6 @@ def write_dataset(
         name: identifier of the dataset, ``(<namespace>/)<name>-v<version>``.
         folder: folder of the datasets; sets ``MINARI_DATASETS_PATH`` of this process.
         seed: noted in the dataset.
-        samples_actions: sample the actions of a stochastic policy, as in training.
         algorithm: what the policy is, noted in the dataset.
         on_episodes: called with the number of episodes that have just ended.
 
@@ -93,7 +90,6 @@ def write_dataset(
         env,
         policy,
         starts,
-        exploration=ExplorationType.RANDOM if samples_actions else ExplorationType.DETERMINISTIC,
         on_begin=read,
         on_step=read_step,
         on_episodes=on_episodes,

@@ -102,17 +102,6 @@ def test_intercept_predicts_reversals() -> None:
     assert intercept(food_limits_bl=(1.5, 3.5))(td)["action"].tolist() == [COUNTER_CLOCKWISE]
 
 
-def test_intercept_estimates_an_unknown_first_direction() -> None:
-    for way in (1, -1):
-        informed, estimating = (
-            intercept(food_limits_bl=(1.5, 3.5), food_direction=each) for each in (way, 0)
-        )
-        # After 1 T on its way, and after it has turned back once.
-        for time, velocity in ((6.0, 0.3 * way), (5.0 + 1.6 / 0.3, -0.3 * way)):
-            td = seen(food=(-2.5, 0.0), heading=math.pi, food_velocity=velocity, time=time)
-            assert torch.equal(informed(td.clone())["action"], estimating(td.clone())["action"])
-
-
 def test_intercept_does_not_circle_food_inside_its_turning_circle() -> None:
     """Food abeam at less than the turning diameter: turning towards it would circle it for ever."""
     td = seen(food=(0.0, 1.5), heading=0.0)

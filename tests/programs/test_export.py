@@ -86,22 +86,6 @@ def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.Monkey
         assert over[-1] and not over[:-1].any()
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_a_seed_repeats_the_sampled_actions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    sampled = []
-    for name in ("first-v0", "second-v0"):
-        settings = export_data.main.read(
-            [f"name={name}", f"folder={tmp_path}", "policy=zoo/predation_small", "episodes=2",
-             "samples_actions=true", "compile=false", "task.time_limit=12"]
-        )  # fmt: skip
-        data = export_data.record(settings)
-        sampled.append([episode.actions.tolist() for episode in data.iterate_episodes()])
-    assert sampled[0] == sampled[1]
-
-
 def test_a_hub_that_does_not_answer_is_an_error_in_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -10,17 +10,18 @@ from typing import Any
 
 import pytest
 import torch
+from torch import nn
 
-from experiments import export_steering
 from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
-from fishrl.envs.steering import PolicySteering
+from fishrl.envs.steering import PolicySteering, save_weights
 from fishrl.modules import LateralLineClassifier
 from fishrl.programs import transfer
 from fishrl.programs.gait.trials import load_trial, make_trial, name_arm
 from fishrl.programs.train import set_up
 from fishrl.programs.train_settings import TRAINING
 from fishrl.training import complete
+from fishrl.training.policies import load_policy
 from tests.envs.conftest import move_kinematically
 from tests.programs.gait.tasks import BRIEF, OVERRIDES, make_task
 from tests.training.conftest import read_rows
@@ -112,12 +113,9 @@ def test_a_run_with_a_lateral_line_goes_on_exactly(trained: Path, tmp_path: Path
 
 
 def test_a_policy_of_predation_becomes_a_heading_controller(tmp_path: Path) -> None:
-    path = tmp_path / "steering.pt"
-    export_steering.main(["run=zoo/predation_small", f"path={path}"])
+    path, policy = tmp_path / "steering.pt", load_policy("zoo/predation_small")
+    layers = [module for module in policy.modules() if isinstance(module, nn.Linear)]
+    save_weights([(layer.weight, layer.bias) for layer in layers], path)
     steering = PolicySteering(path=str(path))
     observations = torch.zeros(3, steering.num_stacked, 4, dtype=torch.float64)
     assert steering.turn(observations).shape == (3,)
-    settings = export_steering.main.read(["run=zoo/gait_small", f"path={tmp_path / 'no.pt'}"])
-    with pytest.raises(ValueError, match="must be a policy trained on Predation"):
-        export_steering.main.run(settings)
-    assert not (tmp_path / "no.pt").exists()

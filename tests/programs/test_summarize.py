@@ -133,8 +133,8 @@ def test_the_same_seed_twice_is_one_seed(tmp_path: Path) -> None:
 def test_the_table_has_mean_interval_and_iqm_and_says_what_to_rerun(sweep: Path) -> None:
     text = summarize.summarize(sweep)
     rows = [line for line in text.splitlines() if line.startswith("| 0.9")]
-    assert rows[0].startswith("| 0.9 | 4 | 40.0% ± 65.0% | 25.0% |")
-    assert "| 4.00 ± 6.50 | 2.50 |" in rows[0] and "| 0.200 ± " in rows[0]
+    assert rows[0].startswith("| 0.9 | 4 | 40.0% [-25.0%, 105.0%] | 25.0% |")
+    assert "| 4.00 [-2.50, 10.50] | 2.50 |" in rows[0] and "| 0.200 [" in rows[0]
     assert rows[1].startswith("| 0.99 | 2/4 |")
     assert "6 of 8 runs finished" in text
     assert "gamma_0.99-seed_2: failed at frame 0 (RuntimeError: out of memory)" in text
@@ -162,12 +162,13 @@ def test_groups_are_compared_seed_by_seed(tmp_path: Path) -> None:
     # Returns differ by -1, -2.1 and -3.2: deviation 1.1, t of 2 degrees of freedom 4.303. Rates of
     # success are a tenth, their curves' means half of that.
     half = 4.303 * 1.1 / 3**0.5
-    row = f"| sac | -21.0% ± {10 * half:.1f}% | -2.10 ± {half:.2f} | -0.105 ± "
-    assert row in text
+    low, high = -2.1 - half, -2.1 + half
+    rates, returns = f"[{10 * low:.1f}%, {10 * high:.1f}%]", f"[{low:.2f}, {high:.2f}]"
+    assert f"| sac | -21.0% {rates} | -2.10 {returns} | -0.105 [" in text
     groups = group_runs(read_runs(tmp_path))
     for run in groups[1].runs:
         run.summary["mean_return"] += 10.0
-    assert "| **-12.10 ± " in tabulate_differences(groups)  # the interval excludes zero
+    assert "| **-12.10 [" in tabulate_differences(groups)  # the interval excludes zero
     path = tmp_path / "dqn-0" / "summary.json"
     path.write_text(json.dumps(summary_of(1.0) | {"frames": 50, "updates": 400}))
     assert "Efforts differ" in summarize.summarize(tmp_path)

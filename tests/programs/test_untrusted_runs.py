@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 import torch
 
-from experiments import export_steering
 from fishrl.programs import evaluate, export, export_data, export_policy, train, transfer, view
 from fishrl.programs.program import Program
 from fishrl.programs.summarize import summarize
@@ -27,13 +26,12 @@ PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
     "train": (train.main, ("task=karman_gait", "folder={run}/..", "name=run")),
     "sweep": (train.main, ("--multirun", "task=karman_gait", "folder={run}/..")),
     "transfer": (transfer.main, ("runs=[{run}]", "baselines=[]", "folder={run}/transfer")),
-    "export_steering": (export_steering.main, ("run={run}", "path={run}/steering.pt")),
     "export_policy": (export_policy.main, ("run={run}", "folder={run}/policy")),
     "export": (export.main, ("checkpoint={run}", "save={run}/flow.nc")),
     "export_data": (export_data.main, ("checkpoint={run}", "name=a/b-v0", "folder={run}/data")),
 }
 KINDS = ("task", "nested", "module", "algorithm", "logger")
-WHOLE = ("resume", "train", "sweep", "export_steering")  # which read all settings of the run
+WHOLE = ("resume", "train", "sweep")  # which read all settings of the run
 CASES = [
     *product(WHOLE, KINDS),
     *product((name for name in PROGRAMS if name not in WHOLE), ("task", "module")),

@@ -12,8 +12,9 @@ from fishrl.training.baselines import baseline, choose_baselines, find_baselines
 
 def test_learned_policies_are_compared_with_the_default_baselines_of_the_task() -> None:
     assert choose_baselines(None, Predation()) == ("intercept", "pursuit", "random")
-    for other in (Predation(control_interval_T=0.5), Predation(num_stacked=1)):
-        assert choose_baselines(None, other) == ("pursuit", "random")  # intercept plans in whole T
+    # intercept plans in whole T and knows the route of the food
+    for other in (Predation(control_interval_T=0.5), Predation(food_direction="random")):
+        assert choose_baselines(None, other) == ("pursuit", "random")
     free = KarmanGait(stream=Stream(has_disc=False))
     assert choose_baselines(None, free) == ("pid", "random")
     assert [*find_baselines(free)] == ["pid", "passive", "bang_bang", "random"]

@@ -8,9 +8,10 @@ import pytest
 import torch
 
 from fishrl.envs.scene import Field, Frame
-from fishrl.viewer import Drawing, FieldFormat
+from fishrl.viewer import Drawing
 from fishrl.viewer.colours import PURPLE_GREEN, RED_BLUE, paint, quantise
 from fishrl.viewer.drawing import TIMELINE
+from fishrl.viewer.settings import FieldFormat
 from tests.viewer.scenes import HEIGHT, LENGTH, make_frame, make_scene
 
 
@@ -37,7 +38,7 @@ class Notes:
         ]
 
 
-def draw(*frames: Any, field_format: FieldFormat = FieldFormat.JPEG, scene: Any = None) -> Notes:
+def draw(*frames: Any, field_format: FieldFormat = "jpeg", scene: Any = None) -> Notes:
     """Return what drawing frames of flow 2 logs."""
     notes = Notes()
     scene = scene or make_scene()
@@ -92,7 +93,7 @@ def test_trail_has_its_length_and_restarts_with_each_episode() -> None:
 
 def test_u8_levels_turn_back_into_values() -> None:
     frame = make_frame(0)
-    stored = read_levels(draw(frame, field_format=FieldFormat.U8), "vorticity")
+    stored = read_levels(draw(frame, field_format="u8"), "vorticity")
     expected = frame.values["vorticity"][0].float().clamp(-10.0, 10.0).numpy()
     error = (stored[0] - 128.0) / 127.0 * 10.0 - expected
     assert np.abs(error).max() <= 0.5 * 10.0 / 127.0 + 1e-6  # half a level
@@ -109,7 +110,7 @@ def test_zero_is_the_middle_of_diverging_colours(name: str) -> None:
 
 def test_colours_of_an_unsigned_field_begin_at_zero() -> None:
     scene = make_scene().choose_field("speed", limit=4.0)
-    notes = draw(make_frame(0), field_format=FieldFormat.U8, scene=scene)
+    notes = draw(make_frame(0), field_format="u8", scene=scene)
     assert "flow_2/world/vorticity" not in notes.logged
     stored, speed = read_levels(notes, "speed"), make_frame(0).values["speed"][0].float().numpy()
     assert stored[0, 0] == 1 and speed[0] == 0.0

@@ -5,20 +5,15 @@ import sys
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
-from fishrl.viewer import (
-    FieldFormat,
-    find_recording,
-    open_recording,
-    start_drawing,
-    write_screenshot,
-)
 from fishrl.viewer import files as files_module
+from fishrl.viewer import find_recording, open_recording, start_drawing, write_screenshot
 from fishrl.viewer.drawing import TIMELINE
 from fishrl.viewer.process import Viewer
+from fishrl.viewer.settings import FieldFormat
 from tests.viewer.pictures import check_views, needs_vulkan, photograph_views
 from tests.viewer.scenes import make_frame, make_scene
 
@@ -56,7 +51,7 @@ LINE = SimpleNamespace(name=TIMELINE, start=0, end=2_000_000_000)
 STATE = SimpleNamespace(loading=[], recordings=[SimpleNamespace(timelines=[LINE])])
 
 
-def write(path: Path, *, num_frames: int = 3, field_format: str = "jpeg") -> None:
+def write(path: Path, *, num_frames: int = 3, field_format: FieldFormat = "jpeg") -> None:
     drawing = start_drawing(make_scene(), flows=FLOWS, save=path, field_format=field_format)
     with closing(drawing):
         for number in range(num_frames):
@@ -72,9 +67,10 @@ def run_rerun(*arguments: str) -> str:
 
 
 def test_files_verify_and_hold_every_entity(tmp_path: Path) -> None:
-    paths = [str(tmp_path / f"{field_format}.rrd") for field_format in FieldFormat]
-    for path, field_format in zip(paths, FieldFormat, strict=True):
-        write(Path(path), field_format=field_format)
+    paths = []
+    for field_format in get_args(FieldFormat):
+        paths.append(str(tmp_path / f"{field_format}.rrd"))
+        write(Path(paths[-1]), field_format=field_format)
     run_rerun("rrd", "verify", *paths)
     for path in paths:
         shown = run_rerun("rrd", "print", "-vvv", path)
@@ -93,7 +89,7 @@ def test_file_is_replaced_and_frames_share_chunks(tmp_path: Path) -> None:
 
 @needs_vulkan
 @pytest.mark.parametrize("field_format", ["jpeg", pytest.param("u8", marks=pytest.mark.slow)])
-def test_every_view_draws(tmp_path: Path, field_format: str) -> None:
+def test_every_view_draws(tmp_path: Path, field_format: FieldFormat) -> None:
     path = tmp_path / "flows.rrd"
     write(path, num_frames=9, field_format=field_format)
     pictures = photograph_views(path, time_T=1.5)

@@ -1,29 +1,20 @@
 """Figures of the Kármán gait."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from math import pi
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from matplotlib.patches import Rectangle, Wedge
 
-from fishrl.envs import KarmanGait, make_env
-from fishrl.envs.episodes import count_decisions
-from fishrl.envs.scene import Frame
-from fishrl.envs.transforms import make_labelling
+from fishrl.envs import KarmanGait
 from fishrl.programs.figures.style import COLOURS, panels
-from fishrl.programs.gait.trials import Histories, Trial
-from fishrl.training.evaluation import fixed_starts
-from fishrl.viewer import Recording, make_scene, record_episodes
-from fishrl.viewer.film import FlowAxes, label_axes
+from fishrl.programs.gait.trials import Histories
+from fishrl.viewer.film import label_axes
 
 _MOST_PATHS = 40
-#: Moments of a shedding period, and frames to choose them from.
-_NUM_MOMENTS, _FRAMES_PER_T = 4, 32
-_VORTICITY = 15.0  # at which colours saturate, 1/T
 
 #: The episodes of one policy in each flow.
 Recorded = Mapping[str, Sequence[Histories]]
@@ -123,44 +114,3 @@ def write_work(
             axes.set(xlabel="time  [T]", yscale="symlog")
         grid[0, 0].set_ylabel("work  [ρL²(L/T)²]")
         grid[0, 0].legend(fontsize=8)
-
-
-def write_period(path: Path, trial: Trial, *, lead_T: float, periods_T: Sequence[float]) -> None:
-    """Draw the flow around a fish at four moments of one shedding period in each flow.
-
-    The first moment comes after ``lead_T``; moments after the end of an episode show its end.
-    """
-    task, num = trial.task, len(periods_T)
-    starts = fixed_starts(task, 1, seed=0)[[0] * num]
-    starts["flow_index"] = torch.arange(num)
-    labelling = make_labelling(task, trial.recognition)
-    frames = task.checks_per_action
-    env = make_env(task=task, num_envs=num, frames_per_action=frames, transforms=labelling)
-    scene = make_scene(env, field_limit=_VORTICITY)
-    recordings = [Recording(scene=scene) for _ in range(num)]
-
-    def give(start: int, frame: Frame) -> None:
-        frames = recordings[start].frames
-        if frames and frames[-1].time < lead_T:
-            frames.clear()
-        frames.append(frame)
-
-    with closing(env):
-        most = count_decisions(task, lead_T + max(periods_T))
-        kept: Any = {"scene": scene, "give": give, "frames_per_T": _FRAMES_PER_T}
-        record_episodes(env, trial.make_policy(), starts, max_decisions=most, **kept)
-    x, y = (float(place) / task.body_length for place in task.origin)
-    shape: Any = {"rows": num, "columns": _NUM_MOMENTS, "size": (12, 2.1 * num + 1.4)}
-    with panels(path, **shape, has_grid=False, sharex=True, sharey=True) as grid:
-        for flow, (row, period) in enumerate(zip(grid, periods_T, strict=True)):
-            recording, speed = recordings[flow], task.stream.speeds_bl[flow]
-            for number, axes in enumerate(row):
-                moment = lead_T + number * period / _NUM_MOMENTS
-                drawn = FlowAxes(axes, scene)
-                drawn.show([recording.frames[int((recording.time - moment).abs().argmin())]])
-                axes.set(xlim=(x - 0.6, x + 4.4), ylim=(y - 1.2, y + 1.2))
-                axes.set_title(
-                    f"{speed:g} L/T, {number}/{_NUM_MOMENTS} of the period", fontsize=8.5
-                )
-                label_axes(axes, x=flow == num - 1, y=number == 0)
-        drawn.add_colourbar(grid[0, 0].figure, grid, shrink=0.8)

@@ -21,15 +21,10 @@ _FIRST = ("preset", "task._target_")
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Runs with the same settings, finished or not.
+    """Runs with the same settings, finished or not."""
 
-    Attributes:
-        settings: those in which the groups of a sweep differ, as words.
-        runs: all of them.
-    """
-
-    settings: dict[str, str]
-    runs: list[Run]
+    settings: dict[str, str]  #: those in which the groups of a sweep differ, as words
+    runs: list[Run]  #: all of them
 
     @property
     def label(self) -> str:

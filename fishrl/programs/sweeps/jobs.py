@@ -55,15 +55,10 @@ class Job(NamedTuple):
 
 @dataclass(frozen=True)
 class Launch:
-    """Runs a job of a sweep; hydra's launchers call it, also in other processes.
+    """Runs a job of a sweep; hydra's launchers call it, also in other processes."""
 
-    Args:
-        options: words of every job, for its YAML files.
-        swept: keys that differ between jobs.
-    """
-
-    options: tuple[str, ...]
-    swept: frozenset[str]
+    options: tuple[str, ...]  #: words of every job, for its YAML files
+    swept: frozenset[str]  #: keys that differ between jobs
 
     def plan(self, overrides: Sequence[str]) -> Job:
         """Return the job with these overrides, named after those that differ."""

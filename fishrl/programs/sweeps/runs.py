@@ -14,23 +14,14 @@ from fishrl.training.run_folder import RunFolder, read_config, read_summary
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """One run, as read from its folder.
+    """One run, as read from its folder."""
 
-    Attributes:
-        path: its folder.
-        status: ``finished``, ``running``, ``failed`` (the reason is known) or ``stopped``.
-        reason: why it failed, or what failed once it was finished, in one line.
-        frames: frames done, according to ``metrics.csv``.
-        config: its settings; empty if they could not be made.
-        summary: results of a finished run; otherwise empty.
-    """
-
-    path: Path
-    status: str
-    reason: str
-    frames: int
-    config: dict[str, Any]
-    summary: dict[str, Any]
+    path: Path  #: its folder
+    status: str  #: ``finished``, ``running``, ``failed`` (the reason is known) or ``stopped``
+    reason: str  #: why it failed, or what failed once it was finished, in one line
+    frames: int  #: frames done, according to ``metrics.csv``
+    config: dict[str, Any]  #: its settings; empty if they could not be made
+    summary: dict[str, Any]  #: results of a finished run; otherwise empty
 
 
 def show_resume(path: Path, modules: Sequence[str] = ()) -> str:
