@@ -110,4 +110,13 @@ def draw(figure: Figure, runs: Runs) -> None:
 
 
 SOURCE = "none; criteria of our own"
-CASE = Case("edges", __doc__, SOURCE, JOBS, judge, draw, size=(7.6, 7.6))
+CASE = Case(
+    "edges",
+    __doc__,
+    SOURCE,
+    JOBS,
+    judge,
+    draw,
+    size=(7.6, 7.6),
+    headline="vorticity made at the sides / in the wake",
+)
