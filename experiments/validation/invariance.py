@@ -2,15 +2,17 @@
 
 A cylinder and a half disc tilted by 0.4 rad (D = 20, Re = 100) are placed in a stream of U = 0.05
 in a domain of 30 D × 20 D; the force is averaged from 4 to 8 D / U. A free fish (L = 50, Re_f =
-1000) swims from rest in 6 L × 4 L; its speed is averaged over beats 3 and 4 of 4. In the moving
-frame, the cylinder moves through fluid at rest, and the fish swims against a stream of 0.02 while
-all edges move with the stream; its speed is relative to the stream. Forces are compared as vectors,
-and the velocities of the fish by magnitude.
+1000), with the immersed boundary and with bounce-back, swims from rest in 10 L × 6 L; its speed is
+averaged over beats 3 and 4 of 4. In the moving frame, the cylinder moves through fluid at rest, and
+the fish swims against a stream of 0.02 or 0.08 nodes per step (the streams of tasks reach 0.15)
+with which all edges move; its speed is relative to the stream. Fish also swim at angles to the
+grid. Forces are compared as vectors, and the velocities of the fish by magnitude.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import hypot, pi
+from math import hypot, pi, radians
+from typing import Any
 
 import torch
 from matplotlib.figure import Figure
@@ -18,7 +20,16 @@ from torch import Tensor
 
 from experiments.validation.case import Case, Check, Job, Result, Runs
 from experiments.validation.plots import GREY
-from fishrl.physics import BodyConfig, Cylinder, DCylinder, Fish, FlowConfig, InPlaceSolver, Scales
+from fishrl.physics import (
+    BodyConfig,
+    Coupling,
+    Cylinder,
+    DCylinder,
+    Fish,
+    FlowConfig,
+    InPlaceSolver,
+    Scales,
+)
 from fishrl.physics.bodies.motion import Driven, Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
 
@@ -32,13 +43,17 @@ SHIFTS = {
     "½ node along both": (0.5, 0.5),
 }
 BASE, MIRRORED, MOVING, TURNED = "as it is", "mirrored", "moving frame", "turned by 90°"
+STREAMS = {f"{MOVING}, {stream}": stream for stream in (0.02, 0.08, -0.08)}
+ANGLES = {f"turned by {angle}°": radians(angle) for angle in (15, 30, 45)}
+LIMIT, FAST_LIMIT = 0.01, 0.025  # of the differences; of those that the lattice makes
 KINDS = {
-    "shifted by part of a node": tuple(SHIFTS),
-    "mirrored": (MIRRORED,),
-    "turned by 90°": (TURNED, f"{TURNED}, {MIRRORED}"),
-    "in a moving frame": (MOVING,),
+    "shifted by part of a node": (tuple(SHIFTS), LIMIT),
+    "mirrored": ((MIRRORED,), LIMIT),
+    "turned by 90°": ((TURNED, f"{TURNED}, {MIRRORED}"), LIMIT),
+    "in a moving frame": ((MOVING, *tuple(STREAMS)[:1]), LIMIT),
+    "in a fast frame": (tuple(STREAMS)[1:], FAST_LIMIT),
+    "at an angle to the grid": (tuple(ANGLES), FAST_LIMIT),
 }
-LIMIT = 0.01  # of the differences
 DIAMETER = 20
 SPEED = 0.05
 REYNOLDS = 100.0  # of the cylinders
@@ -47,7 +62,6 @@ TRAVEL = 8  # diameters that the stream goes; the second half is averaged
 BODY_LENGTH = 50
 FISH_REYNOLDS = 1000.0
 NUM_BEATS = 4  # the last two are averaged
-FISH_STREAM = 0.02
 
 
 def push_cylinders(*, is_half: bool, is_turned: bool) -> Result:
@@ -83,23 +97,29 @@ def push_cylinders(*, is_half: bool, is_turned: bool) -> Result:
     )
 
 
-def swim_invariantly(*, is_turned: bool) -> Result:
+def swim_invariantly(*, is_turned: bool, coupling: str) -> Result:
     """Return by name the mean velocity (x, y) of free fish relative to the stream, L / T.
 
     They swim from rest along -x, and velocities are turned back if all is turned.
     """
     scales = Scales.from_budget(body_length=BODY_LENGTH, reynolds=FISH_REYNOLDS)
-    size = (6 * BODY_LENGTH, 4 * BODY_LENGTH)
-    x, y = 3.6 * BODY_LENGTH, 2.1 * BODY_LENGTH
+    size = (10 * BODY_LENGTH, 6 * BODY_LENGTH)
+    x, y = 5.5 * BODY_LENGTH, 3.1 * BODY_LENGTH
     runs = {BASE: ((x, y), pi, 0.0), MIRRORED: ((x, size[1] - 1.0 - y), pi, 0.0)}
     if not is_turned:
         runs |= {name: ((x + dx, y + dy), pi, 0.0) for name, (dx, dy) in SHIFTS.items()}
-        drift = 0.5 * FISH_STREAM * NUM_BEATS * scales.period
-        runs[MOVING] = ((x - drift, y), pi, FISH_STREAM)
+        runs |= {name: ((x, y), pi + angle, 0.0) for name, angle in ANGLES.items()}
+        drift = 0.5 * NUM_BEATS * scales.period
+        runs |= {name: ((x - drift * each, y), pi, each) for name, each in STREAMS.items()}
+    skin = Coupling(coupling)
     solver = _start(
-        Fish(body_length=BODY_LENGTH, motion=Free()), list(runs.values()),
+        Fish(body_length=BODY_LENGTH, motion=Free(), **skin.body_settings), list(runs.values()),
         size=size, tau=scales.tau, is_turned=is_turned, frequency=1.0 / scales.period,
+        coupling=skin,
     )  # fmt: skip
+    streams = torch.tensor([stream for _, _, stream in runs.values()])
+    if not is_turned:
+        solver.body.velocity[:, 0] = streams
     solver.body.phase[list(runs).index(MIRRORED)] = pi
     half = NUM_BEATS // 2 * scales.period
     solver.advance_(half)
@@ -107,7 +127,6 @@ def swim_invariantly(*, is_turned: bool) -> Result:
     solver.advance_(half)
     velocity = _turn_back(solver.body.position - before, is_turned)
     velocity = velocity / half / scales.reference_speed
-    streams = torch.tensor([stream for _, _, stream in runs.values()])
     velocity[:, 0] -= streams / scales.reference_speed
     return dict(zip(runs, velocity.tolist(), strict=True))
 
@@ -120,6 +139,7 @@ def _start(
     tau: float,
     is_turned: bool,
     frequency: float = 0.0,
+    coupling: Coupling = Coupling.IMPLICIT,
 ) -> InPlaceSolver:
     """Return flows at rest or in a uniform stream; ``is_turned`` turns everything by 90 degrees."""
     width, height = (size[1], size[0]) if is_turned else size
@@ -129,8 +149,9 @@ def _start(
     edge = NonEquilibrium(velocity=direction)
     edges = Boundaries(left=edge, right=edge, bottom=edge, top=edge)
     base = FlowConfig(
-        width=width, height=height, tau=tau, stream_speed=0.0, bodies=(body,), boundaries=edges
-    )
+        width=width, height=height, tau=tau, stream_speed=0.0, bodies=(body,), boundaries=edges,
+        coupling=coupling,
+    )  # fmt: skip
     configs = [replace(base, stream_speed=stream) for _, _, stream in runs]
     solver = InPlaceSolver(config=configs, frequency=frequency, num_workers=0)
     position, heading = (torch.tensor(v, dtype=torch.float64) for v in (places, headings))
@@ -145,13 +166,19 @@ def _turn_back(vectors: Tensor, is_turned: bool) -> Tensor:
 
 
 # the body and what is compared, arguments of its run
-QUANTITIES: dict[str, tuple[Callable[..., Result], dict[str, bool]]] = {
-    "fish: speed": (swim_invariantly, {}),
+QUANTITIES: dict[str, tuple[Callable[..., Result], dict[str, Any]]] = {
+    "fish: speed": (swim_invariantly, {"coupling": "implicit"}),
+    "fish, bounce-back: speed": (swim_invariantly, {"coupling": "bounce-back"}),
     "cylinder: force": (push_cylinders, {"is_half": False}),
     "half disc: force": (push_cylinders, {"is_half": True}),
 }
+QUICK = ("half disc: force", False)
 JOBS = [
-    Job(function, {**arguments, "is_turned": is_turned}, is_quick=not (arguments or is_turned))
+    Job(
+        function,
+        {**arguments, "is_turned": is_turned},
+        is_quick=name == "fish: speed" and not is_turned,
+    )
     for name, (function, arguments) in QUANTITIES.items()
     for is_turned in ((False,) if name == "cylinder: force" else (False, True))
 ]
@@ -179,22 +206,29 @@ def _compare_all(runs: Runs) -> dict[str, dict[str, float]]:
     for quantity, (_, arguments) in QUANTITIES.items():
         by_turn = runs.by("is_turned", **arguments)
         if run := by_turn.get(False):
-            is_speed = quantity == "fish: speed"
+            is_speed = quantity.startswith("fish")
             table[quantity] = compare(run, by_turn.get(True), is_speed=is_speed)
     return table
 
 
 def judge(runs: Runs) -> Iterator[Check]:
     """Check the largest difference of each kind."""
+    notes = {
+        "fish: speed": "Kernel and lattice are not isotropic: D2Q9 lacks third moments.",
+        "fish, bounce-back: speed": "The fish is faster in both directions, so the error is even "
+        "in the speed of the frame. The likely reason: nodes that the skin passes are refilled "
+        "with its velocity, and a skin that moves with a stream passes many more.",
+    }
     for quantity, table in _compare_all(runs).items():
-        for kind, names in KINDS.items():
+        for kind, (names, limit) in KINDS.items():
             if known := {name: table[name] for name in names if name in table}:
                 yield Check(
                     f"{quantity}, {kind}: largest difference",
                     max(known.values()),
-                    (0.0, LIMIT),
+                    (0.0, limit),
                     "own criterion",
                     refinement=known if len(known) > 1 else {},
+                    note=notes[quantity] if max(known.values()) > limit else "",
                 )
 
 
