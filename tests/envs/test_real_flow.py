@@ -77,7 +77,6 @@ def test_pair_that_meets_ends_its_episode_without_divergence() -> None:
 
 @pytest.mark.compile
 def test_compiled_rows_on_several_cores_equal_single_rows(task: Predation) -> None:
-    torch.set_num_threads(2)
     starts = task.sample_starts(2, torch.Generator().manual_seed(2))
     env = FlowEnv(task=task, num_envs=2, starts=starts)
     alone = FlowEnv(task=task, num_envs=1, starts=starts)

@@ -31,6 +31,7 @@ _SETTINGS: dict[str, object] = {
     "cpp.enable_floating_point_contract_flag": "fast",
     "size_asserts": False,
     "alignment_asserts": False,
+    "cpp.vec_isa_ok": True,  # the processor's flags tell; else a program is compiled to probe each
 }
 
 

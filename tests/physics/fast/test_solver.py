@@ -190,12 +190,13 @@ def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit_in_proce
 
 @pytest.mark.compile
 def test_a_compiled_step_takes_no_memory_that_grows_with_the_grid() -> None:
-    solver = make_solver(TANK, slice(1), compile=True)
+    config = make_tank(**CHANGES["commanded"])  # compiled by another test
+    solver = make_solver(config, slice(1), compile=True)
     solver.advance_(4)
     with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as record:
         solver.advance_(10)
     largest = max((event.self_cpu_memory_usage for event in record.events()), default=0)
-    field = 4 * TANK.width * TANK.height
+    field = 4 * config.width * config.height
     assert largest < field, f"an operation of a step allocates {largest} bytes"
 
 
