@@ -61,7 +61,8 @@ class FlowEnv(EnvBase):
             (TorchRL reserves the keyword ``compile`` of environment classes.)
         starts: TensorDict ``[E]`` as returned by ``task.sample_starts``. Resets cycle through them,
             in order of rows within one reset. By default each start is drawn at random.
-        frames_per_action: calls of ``on_frame`` within an action, at equal intervals.
+        frames_per_action: calls of ``on_frame`` within an action, at equal intervals: pictures, not
+            the env frames of ``total_frames``.
         on_frame: called with this environment, to read ``solver`` and ``measure()``.
 
     Attributes:
@@ -104,7 +105,7 @@ class FlowEnv(EnvBase):
         if task.num_fish > 1:
             names = [f"fish_{number}" for number in range(task.num_fish)]
             self.group_map = MarlGroupMapType.ALL_IN_ONE_GROUP.get_group_map(names)
-        self._history = find_extension(task, HasHistory)
+        self._history = find_extension(task, HasHistory)  # the task, or one that records nothing
         self._schedule = make_schedule(
             task.n_substeps,
             checks=task.checks_per_action,
@@ -248,6 +249,7 @@ class FlowEnv(EnvBase):
         num_safe = 0.0  # from then on
         for stretch in self._schedule:
             num_due, num_unmeasured = (n + stretch.num_steps for n in (num_due, num_unmeasured))
+            # not <=: NaN asks for a check
             is_check = stretch.is_check and (stretch.is_last or not num_unmeasured <= num_safe)
             on_frame = self.on_frame if stretch.is_frame else None
             if not (is_check or on_frame or stretch.is_sample):

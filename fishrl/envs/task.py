@@ -6,7 +6,8 @@ leading batch axis B; there are no loops over the batch, and rows are distinguis
 (``torch.where``). A task keeps no state: what persists between decisions is in the flow, in the
 starts or in the last measurement. The environment handles specs, resets, sub-steps, divergence and
 checkpoints. ``fishrl.envs.extensions`` holds optional bases, such as sensor series and memory, flow
-labels, and items of the scene.
+labels, and items of the scene. Names end in ``_bl`` for body lengths L, in ``_T`` for periods T and
+in an underscore for what changes its object in place.
 """
 
 from abc import ABC, abstractmethod
@@ -52,8 +53,8 @@ class AbstractTask(Settings, ABC):
         body_length: L in nodes; at Reynolds number 7000 at least 50 for a useful swimming speed.
         reynolds: Re_f = L^2 / (T nu).
         max_wall_speed: largest speed of the beating tail, nodes per step; sets the period T.
-        coupling: how fish and water act on each other: ``implicit``, the immersed boundary, or
-            ``bounce-back``, a sharp skin; see ``Coupling`` and the page on resolution.
+        coupling: how fish and water act on each other: ``implicit`` or ``explicit``, the immersed
+            boundary, or ``bounce-back``, a sharp skin; see ``Coupling`` and the page on resolution.
         domain_bl: width and height of the domain in body lengths.
         wall_margin_bl: smallest distance of a marker from the edge, in body lengths.
         num_stacked: stacked observations, the current one included.

@@ -38,6 +38,9 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         num_actions: number of actions, legal or not.
         alpha_init: initial temperature.
         target_entropy_weight: target entropy as a share of the maximum entropy, log(num_legal).
+
+    The critics' loss is TorchRL's ``qvalue_loss``; its target averages over the masked policy of
+    the next state, so that illegal actions have no weight.
     """
 
     out_keys = ["loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy", "entropy_fraction"]

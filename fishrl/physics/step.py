@@ -1,4 +1,6 @@
-"""One step of the flow and the bodies in it, as the paper writes it. Read this file first.
+"""One step of the flow and the bodies in it, in the notation of the paper. Read this file first.
+
+The paper is Li, Zhang et al. 2023, arXiv 2301.10085; Q = 9 is the number of directions.
 
 This is the readable step: batched, functional, of any float type, differentiable. The in-place step
 (``fast/stepper.py``) calls the same collision, boundaries and body functions and is tested against
@@ -14,13 +16,15 @@ markers; the force that removes the slip between fluid and body, and the motion 
 freely, are solved for together; and the force is spread to the nodes. With Coupling.BOUNCE_BACK a
 body reflects the populations that meet its skin instead (``bounce_back.py``).
 
-In symbols, in lattice units (distance of nodes and time step 1), with the paper's equation numbers;
-A_kl = ds sum_x W_k W_l, and m_f is the mass of the fluid inside a body:
+In symbols, in lattice units (distance of nodes and time step 1), with the paper's equation numbers.
+ds is the distance of markers along the skin, W_l(x) the kernel of marker l at node x, and A_kl = ds
+sum_x W_k W_l. U is the velocity of a body's centre of mass, m_b its mass, and m_f that of the fluid
+inside it. M takes populations to moments m, and S holds their relaxation rates (``collision.py``):
 
     rho = 1 + sum_i f_i,  rho u* = sum_i c_i f_i  fluid before this step's force
     U*_l = sum_x W_l u*                           at marker l, weights W_l      (eq. 2)
-    A g = U_d - U*                                no slip: U_d is the body's    (eq. 4)
-    (M - m_f) dU/dt = -sum_l 2 rho g_l ds         rigid motion, with eq. 4      (eqs. 5, 6)
+    A g = U_d - U*                                no slip: U_d is the skin's    (eq. 4)
+    (m_b - m_f) dU/dt = -sum_l 2 rho g_l ds       rigid motion, with eq. 4      (eqs. 5, 6)
     F = 2 rho sum_l W_l g_l ds                    force on the fluid            (eq. 3)
     f' = f - M^-1 S (m - m_eq) + increment(F)     collision                     (eq. 1)
     f_i(x + c_i, t + 1) = f'_i(x, t)              streaming, then the edges
@@ -84,8 +88,8 @@ def step(
     Raises:
         ValueError: if the state has more or fewer bodies than ``config``.
 
-    Source: the paper's eqs. 1 to 6, with the changes listed on the theory page: implicit coupling
-    and the force increment of ``compute_force_increment``.
+    Source: the paper's eqs. 1 to 6, with two changes: force and rigid motion are solved together,
+    and the forcing, implicit there, is an increment after collision (``compute_force_increment``).
     """
     if len(state.bodies) != len(config.bodies):
         raise ValueError(
@@ -112,7 +116,7 @@ def step(
     collided = collide_mrt(f, omega, config.rates)
     increment = compute_force_increment(fluid, (fx, fy), omega, config.rates)
     outgoing = [a + b for a, b in zip(collided, increment, strict=True)]
-    if bodies and is_sharp:  # in place of the forces above
+    if bodies and is_sharp:  # no force: in a copy, reflect what meets the skin, fill what it leaves
         slots, skin = list_slots(outgoing), locate_skin(config, params.bodies, bodies)
         bodies = bounce_off_bodies_(config, params.bodies, bodies, skin, slots, f[0].dtype)
         uncover_nodes_(config, bodies, skin, locate_skin(config, params.bodies, bodies), slots)

@@ -87,9 +87,9 @@ def make_collector(resolved: ResolvedRun, learner: Learner, *, seed: int) -> Any
     explorer, plan = learner.explorer, resolved.plan
     if resolved.task.num_fish > 1:
         explorer = EachFish(explorer, explorer.out_keys)
-    make_flows = partial(_make_flows, resolved.make_flows, learner.transforms)
+    make_flows = partial(_extend, resolved.make_flows, learner.transforms)
     env = make_flows(num_envs=plan.num_envs, seed=seed)
-    policy_device = plan.learner_device and next(learner.actor.parameters()).device
+    actor_device = plan.learner_device and next(learner.actor.parameters()).device
     if not plan.ray_collectors:
         return ResumableCollector(
             env,
@@ -97,7 +97,7 @@ def make_collector(resolved: ResolvedRun, learner: Learner, *, seed: int) -> Any
             frames_per_batch=plan.num_envs,
             total_frames=-1,
             init_random_frames=plan.warmup_frames,
-            policy_device=policy_device,
+            policy_device=actor_device,
             storing_device=plan.policy_device,  # trajectory ids too, which DRQN's sampler reads
         )
     from fishrl.training.cluster import ClusterCollector
@@ -113,11 +113,11 @@ def make_collector(resolved: ResolvedRun, learner: Learner, *, seed: int) -> Any
     )
 
 
-def _make_flows(
-    make_env: Callable[..., TransformedEnv], transforms: Iterable[Transform], **given: Any
+def _extend(
+    make_flows: Callable[..., TransformedEnv], transforms: Iterable[Transform], **given: Any
 ) -> TransformedEnv:
     """Make flows with copies of further transforms."""
-    env = make_env(**given)
+    env = make_flows(**given)
     for transform in transforms:
         env.append_transform(transform.clone())
     return env

@@ -141,17 +141,17 @@ class Training:
 
     def _conclude(self, metrics: dict[str, float]) -> None:
         """Evaluate, log and save if due after a round with these metrics."""
-        run, counters = self.plan, self.counters
-        is_over = counters.frames >= run.total_frames
-        is_evaluated = is_over or self._has_crossed(run.eval_frames)
+        plan, counters = self.plan, self.counters
+        is_over = counters.frames >= plan.total_frames
+        is_evaluated = is_over or self._has_crossed(plan.eval_frames)
         if is_evaluated:
             metrics = metrics | self._select()
         counters.wall_seconds = metrics["time/wall_seconds"] = self._wall_seconds()
-        if is_evaluated or self._has_crossed(run.log_frames):
+        if is_evaluated or self._has_crossed(plan.log_frames):
             self.plan.logger.log(metrics | {"time/memory_mb": measure_memory_mb()})
             counters.losses = {}
         counters.pending = {}
-        if is_over or self._has_crossed(run.checkpoint_frames):
+        if is_over or self._has_crossed(plan.checkpoint_frames):
             self._save(self.folder.last, is_needed=is_over)
         shown = {
             "frames per s": metrics["time/frames_per_second"],

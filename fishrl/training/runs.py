@@ -93,7 +93,7 @@ def find_run(plan: Plan) -> RunFolder | None:
     return folder if folder is not None and folder.config.is_file() else None
 
 
-def continue_as(folder: RunFolder, plan: P) -> P:
+def adopt_plan(folder: RunFolder, plan: P) -> P:
     """Return a plan as the run in a folder continues with it: with its own logger, folder and name.
 
     Raises:
@@ -137,10 +137,10 @@ def find_result(plan: Plan) -> dict[str, Any] | None:
     """Return the summary of the run that a plan names, see ``read_result``, or None.
 
     Raises:
-        ValueError: see ``continue_as``.
+        ValueError: see ``adopt_plan``.
     """
     folder = find_run(plan)
-    return None if folder is None else read_result(folder, continue_as(folder, plan))
+    return None if folder is None else read_result(folder, adopt_plan(folder, plan))
 
 
 def begin(plan: Plan, *, callbacks: Iterable[Callback] = ()) -> Training:
@@ -155,7 +155,7 @@ def begin(plan: Plan, *, callbacks: Iterable[Callback] = ()) -> Training:
     """
     found = find_run(plan)
     if found is not None:
-        return _continue(found.checked(), continue_as(found, plan), callbacks)
+        return _continue(found.checked(), adopt_plan(found, plan), callbacks)
     resolved = resolve(plan)
     folder, plan = make_folder(plan)
     with folder.noting_failure():

@@ -16,7 +16,8 @@ class LearningSettings(Settings):
         num_envs: flows that advance together.
         ray_collectors: number of processes of a Ray cluster that share the flows, each on its own
             GPU with ``device=cuda``; with 0 all flows belong to this process.
-        warmup_frames: env frames with random legal actions before learning starts.
+        warmup_frames: env frames with random legal actions before learning starts. PPO sets this,
+            ``updates_per_frame`` and ``buffer_size`` itself.
         updates_per_frame: gradient steps per env frame and fish.
         batch_size: transitions per gradient step.
         buffer_size: capacity of the replay buffer in decisions of flows, each with a transition per

@@ -28,7 +28,7 @@ from fishrl.training.algorithms.sac import SAC
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
 from fishrl.training.run_folder import RunFolder, read_config, write_yaml
-from fishrl.training.runs import continue_as, read_result
+from fishrl.training.runs import adopt_plan, read_result
 from tests.envs.conftest import SMALL
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, read_rows
 from tests.training.stops import run_and_kill, run_and_stop
@@ -182,7 +182,7 @@ def test_training_a_named_run_again_continues_it_or_returns_its_summary(toy: Toy
     assert [path.name for path in toy.folder.iterdir()] == ["run"]
     other = toy.begin(name="other", **QUICK)
     moved = make_toy_plan(toy.folder / "elsewhere", logger=Spare(), **QUICK)
-    assert continue_as(other.folder, moved) == other.plan  # it keeps its folder, name and logger
+    assert adopt_plan(other.folder, moved) == other.plan  # it keeps its folder, name and logger
 
 
 def test_a_run_without_its_checkpoint_is_not_resumed(toy: Toy) -> None:

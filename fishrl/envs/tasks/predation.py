@@ -183,7 +183,8 @@ class AbstractPredation(AbstractTask, HasScene):
         counted alike, the slowest approach would be rewarded most.
         """
         (old_distance, old_error), (distance, error) = (
-            td["target"][..., 2:].unbind(-1) for td in (before, now)
+            td["target"][..., 2:].unbind(-1)  # distance and bearing error
+            for td in (before, now)
         )
         comes_nearer = (distance < old_distance) | (error.abs() < old_error.abs())
         approach = torch.where(comes_nearer, 1.0, -1.0)

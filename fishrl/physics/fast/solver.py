@@ -285,7 +285,7 @@ class InPlaceSolver:
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return density ``[B, P]`` and velocity ``[B, P, 2]`` at points ``[B, P, 2]`` (x, y).
 
-        Both are NaN at points that are.
+        Both are NaN where a point is.
         """
         check_tensor("points", points, (self.num_envs, None, 2))
         return self._batch.sample(points.to(self.device))

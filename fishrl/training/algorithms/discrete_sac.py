@@ -21,7 +21,7 @@ class DiscreteSAC(Algorithm):
     """
 
     is_traced = True
-    label: ClassVar[str] = ""  # the default algorithm
+    label: ClassVar[str] = ""  # names of run folders leave out the default algorithm
 
     alpha_init: Annotated[float, Field(gt=0, le=1e6)] = 1.0
     target_entropy_weight: Annotated[float, Field(ge=0, le=1)] = 0.1
