@@ -82,6 +82,10 @@ def compare(transfer: Any, line: Any, captures: Sequence[float]) -> str:
         "frequency": write(".2f", (flow["frequency_over_shedding"] for flow in both)),
         "angle": write(".1f", (flow["angle_max"] for flow in both)),
         "work": write(".1f", (divide_work(*pair, "lateral_work") for pair in works)),
+        "balance": "; ".join(
+            write(".3f", (flow[name] for flow in both))
+            for name in ("work", "positive_work", "torque_work", "total_work")
+        ),
         "capture": find_mean(captures).show(".1f"),
         "fitted": f"{line['paper']['fitted_accuracy']:.0%}",
         "held_out": f"{line['paper']['held_out_accuracy']:.0%}",

@@ -29,7 +29,7 @@ from fishrl.physics.flow import FlowConfig
 from fishrl.physics.geometry import Markers, Outlines, locate_outlines
 from fishrl.physics.lattice import CX, CY, Q, W
 from fishrl.physics.links import Links, find_links, to_links, to_markers
-from fishrl.physics.rigid_motion import Pair, move_body, report_bodies
+from fishrl.physics.rigid_motion import Pair, measure_gain, move_body, report_bodies
 from fishrl.physics.storage import Storage
 from fishrl.physics.surface import Freedom, prescribe_surface, slice_markers
 
@@ -194,8 +194,7 @@ def bounce_off_bodies_(
     each = zip(config.bodies, params, states, skin.outlines.deformations, updates, strict=True)
     for body, own_params, state, deformation, update in each:
         # the other totals count the water inside: as if it filled the body and moved with it
-        gain = own_params.area[:, None] * (update.velocity - state.velocity)
-        spin_up = deformation.inertia * (update.angular_velocity - state.angular_velocity)
+        gain, spin_up = measure_gain(own_params, state, deformation, update)
         whole = update._replace(force=update.force + gain, torque=update.torque + spin_up)
         moved.append(move_body(body, own_params, state, deformation, whole))
     return tuple(moved)

@@ -89,6 +89,15 @@ def report_bodies(
     return updates
 
 
+def measure_gain(
+    params: BodyParams, state: BodyState, deformation: Deformation, update: RigidUpdate
+) -> Pair:
+    """Return what the displaced fluid gains: momentum ``[B, 2]``, angular momentum ``[B]``."""
+    turn = update.angular_velocity - state.angular_velocity
+    spin_up = deformation.inertia * turn + deformation.inertia_rate * state.angular_velocity
+    return params.area[:, None] * (update.velocity - state.velocity), spin_up
+
+
 def move_body(
     config: BodyConfig,
     params: BodyParams,
@@ -100,11 +109,12 @@ def move_body(
 
     The markers' force also drives the fluid inside the body, whose momentum is exactly the
     displaced mass times the body's velocity: hydro_force = m_f dU/dt - F. For the torque the same
-    holds approximately (Feng & Michaelides 2009).
+    holds approximately (Feng & Michaelides 2009). The external torque is what the fluid gains and
+    the body beyond the fluid it displaces: zero if free, except in explicit coupling.
     """
-    gain = params.area[:, None] * (update.velocity - state.velocity)
-    spin_up = deformation.inertia * (update.angular_velocity - state.angular_velocity)
+    gain, spin_up = measure_gain(params, state, deformation, update)
     hydro_force = gain - update.force
+    torque = update.torque + (params.density_ratio - 1.0) * spin_up
     is_still = config.motion.is_still
     return state._replace(
         position=state.position + (0.0 if is_still else update.velocity),
@@ -121,6 +131,7 @@ def move_body(
         work=state.work + update.power,
         positive_work=state.positive_work + update.positive_power,
         lateral_work=state.lateral_work + update.lateral_power,
+        torque_work=state.torque_work + torque * update.angular_velocity,
         torque_impulse=state.torque_impulse + update.torque,
         slip_error=update.slip_error,
         force=update.force,

@@ -210,7 +210,7 @@ def test_reward_is_1_upstream_and_minus_1_downstream() -> None:
 def test_work_is_reported_in_its_unit_and_costs_reward_once() -> None:
     env, _ = begin(reward_terms=StationReward(rim_weight=0.0))
     unit = (20 * 20 / env.task.scales.period) ** 2  # rho L^2 (L / T)^2
-    done = {"work": 0.3, "positive_work": 0.5, "lateral_work": 0.2}
+    done = {"work": 0.3, "positive_work": 0.5, "lateral_work": 0.2, "torque_work": -0.1}
     for name, share in done.items():
         getattr(env.solver.body, name).fill_(share * unit)
     first, second = act(env, CRUISE), act(env, CRUISE)

@@ -1,18 +1,21 @@
 """Torque, prescribed motion and derivatives, through the readable step in float64."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor
 
 from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Scales
-from fishrl.physics.bodies.motion import Driven, Free
+from fishrl.physics.bodies.motion import Commanded, Driven, Free
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
-from fishrl.physics.collision import compute_moments
+from fishrl.physics.collision import compute_macroscopic, compute_moments
 from fishrl.physics.flow import Coupling, make_params, make_rest, make_uniform
-from fishrl.physics.step import step
+from fishrl.physics.geometry import locate_bodies
+from fishrl.physics.immersed_boundary import DirectSolve, interpolate
+from fishrl.physics.step import couple_bodies, gather, gather_fluid, spread, step
 from tests.physics.flows import advance, start_solver
 
 CENTRE = torch.tensor([[30.3, 29.6]], dtype=torch.float64)
@@ -57,6 +60,51 @@ def test_a_driven_body_moves_at_its_prescribed_velocity_from_any_state() -> None
         assert (end.position - CENTRE)[0].tolist() == pytest.approx([0.18, -0.06], rel=1e-9)
         assert float(end.heading) == pytest.approx(0.012, rel=1e-9)
         assert (end.velocity[0].tolist(), float(end.angular_velocity)) == ([0.03, -0.01], 0.002)
+
+
+def test_muscles_and_torque_of_a_turning_fish_do_the_work_on_the_water() -> None:
+    """The work on the water: each marker's force times the fluid's velocity there after it."""
+    fish = Fish(body_length=20, motion=Commanded())
+    config = make_swimmer_config(SCALES, length_bl=3, height_bl=3, bodies=(fish,))
+    config = replace(config, force_solve=DirectSolve())
+    params = make_params([config])
+    body = make_body(CENTRE, math.pi * ONE, ONE / SCALES.period)
+    body = body._replace(turn=0.4 * ONE, turn_steps=80 * ONE, turn_clock=0 * ONE)
+    state = advance(FlowState(make_rest(config, 1), (body,)), config, 40, params)
+    (body,) = state.bodies
+    geometry = locate_bodies(config, params.bodies, (body,), torch.float64)
+    nodes, weights = geometry.stencil.index_nodes(config.width), geometry.stencil.weights
+    fluid = compute_macroscopic(state.f.unbind(1))
+    nearby = gather_fluid(fluid, nodes)
+    (after,), *shares = couple_bodies(config, params.bodies, (body,), geometry, nearby)
+    power = torch.zeros(1, dtype=torch.float64)
+    for share, u in zip(shares, (fluid.ux, fluid.uy), strict=True):
+        forced = u + spread(share, nodes, fluid.rho) / (2.0 * fluid.rho)
+        power += (share.sum(1) * interpolate(gather(forced, nodes), weights)).sum(-1)
+    muscles, torque = after.work - body.work, after.torque_work - body.torque_work
+    assert abs(float(torque)) > 0.02 * abs(float(muscles))
+    left = float(after.slip_error * sum(share.sum(1).abs().sum() for share in shares))
+    assert left < 1e-5 * abs(float(power))  # what the solve leaves of the slip
+    torch.testing.assert_close(muscles + torque, power, rtol=0, atol=left)
+
+
+@pytest.mark.parametrize(
+    ("coupling", "share"), [(Coupling.IMPLICIT, 1e-11), (Coupling.BOUNCE_BACK, 1e-4)]
+)
+@pytest.mark.parametrize("density_ratio", [1.0, 2.0])
+def test_no_torque_does_work_on_a_free_fish(
+    density_ratio: float, coupling: Coupling, share: float
+) -> None:
+    """To round-off; bounce-back leaves out the part of a force that is quadratic in the rates."""
+    settings = {"density_ratio": density_ratio, **coupling.body_settings}
+    fish = Fish(body_length=20, motion=Free(), **settings)
+    config = make_swimmer_config(
+        SCALES, length_bl=3, height_bl=3, bodies=(fish,), coupling=coupling
+    )
+    body = make_body(CENTRE, math.pi * ONE, ONE / SCALES.period)
+    (body,) = advance(FlowState(make_rest(config, 1), (body,)), config, 60).bodies
+    assert abs(float(body.angular_velocity)) > 1e-5
+    assert abs(float(body.torque_work)) < share * abs(float(body.work))
 
 
 SCALES = Scales.from_budget(body_length=20, reynolds=500.0, max_wall_speed=0.1)

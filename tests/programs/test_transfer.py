@@ -46,5 +46,5 @@ def test_work_is_compared_with_a_free_stream_held_without_a_disc(tmp_path: Path)
     assert [(flow["held"], flow["episodes"]) for flow in free["flows"]] == [(1, 1)] * 3
     assert [len(flow["work"]) for flow in free["work"]] == [5, 5, 5]  # at 0 to 4 T
     page = (tmp_path / "transfer.md").read_text(encoding="utf-8")
-    assert "| stream, L/T | work, wake | free | ratio |" in page
+    assert "| stream, L/T | muscles, wake | free | ratio |" in page
     assert f"T = {free['steps_per_T']} steps" in page

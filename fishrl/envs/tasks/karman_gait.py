@@ -203,6 +203,7 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
             "work": body.work / unit,
             "positive_work": body.positive_work / unit,
             "lateral_work": body.lateral_work / unit,
+            "torque_work": body.torque_work / unit,
             **self.measure_stream(solver, starts["flow_index"]),
         }
         return TensorDict(now, starts.batch_size, device=starts.device)
@@ -275,7 +276,7 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return lateral line, true flow and diagnostics."""
         names = ["flow_index", "gear", "frequency", "heading", "work", "positive_work"]
-        names += ["lateral_work", "lateral_line"]
+        names += ["lateral_work", "torque_work", "lateral_line"]
         if self.stream.changes is not None:
             names.append("stream_speed")
         reported: dict[str, Tensor] = {name: now[name] for name in names}

@@ -26,9 +26,11 @@ class BodyState(NamedTuple):
         turn_steps: steps over which the turn is spread.
         turn_clock: steps since the command.
         load: ``[B, 2]`` external force on the body: weight minus buoyancy, a tether.
-        work: done by the muscles since reset, rho (nodes / step)^2 nodes^2: sum of F . u_def.
+        work: net work of the muscles since reset, rho (nodes / step)^2 nodes^2: sum of F . u_def.
         positive_work: the same without recovery: negative power at a marker counts as zero.
         lateral_work: its lateral part, the paper's eqs. 12 and 13 with the sign of work done.
+        torque_work: done by the external torque that sets Omega: sum of torque times Omega; zero
+            for a free body. With ``work`` it is the work on the water, if no external force acts.
         torque_impulse: sum of the torque on the fluid over all steps.
         slip_error: largest velocity error at a marker in the last step.
         force: ``[B, 2]`` force on the fluid in the last step, the fluid inside the body included.
@@ -56,6 +58,7 @@ class BodyState(NamedTuple):
     work: Tensor
     positive_work: Tensor
     lateral_work: Tensor
+    torque_work: Tensor
     torque_impulse: Tensor
     slip_error: Tensor
     force: Tensor

@@ -14,6 +14,8 @@ from fishrl.programs.statistics import half_width
 
 #: Nose positions (x behind the flat side, |y|), body lengths, inside the vortex street.
 STREET = ((0.8, 3.0), 0.5)
+#: Work in the results: that in ``WORKS``, and of muscles and torque together on the water.
+BALANCE = (*WORKS, "total_work")
 #: Largest relative difference from the shedding frequency that counts as Kármán gait.
 GAIT_BAND = 0.25
 
@@ -41,6 +43,7 @@ def diagnose(
     frames_per_T = max(1, h.beat.shape[1] // max(1, h.frequency.shape[1])) / task.interval_T
     angle = h.angle_of_attack.abs() * 180.0 / math.pi
     total_T = max(float(h.lengths_T.sum()), 1e-9)
+    works = zip(BALANCE, list_works(h), strict=True)
     last = (~h.work.isnan()).sum(1, keepdim=True).clamp_min(1) - 1
     return {
         "episodes": len(h.flow),
@@ -56,18 +59,24 @@ def diagnose(
         "angle_mean": _mean(angle),
         "angle_max": float(angle.nan_to_num(0.0).max()),
         "phase_lock": lock_phases(h, shedding_frequency, frames_per_T=frames_per_T),
-        **{name: float(getattr(h, name).gather(1, last).nansum()) / total_T for name in WORKS},
+        **{name: float(values.gather(1, last).nansum()) / total_T for name, values in works},
         "named_right": _share(h.named == h.flow[:, None], ~h.named.isnan() & is_known),
     }
 
 
+def list_works(histories: Histories) -> list[Tensor]:
+    """Return the series ``[E, N + 1]`` of ``BALANCE``."""
+    parts = [getattr(histories, name) for name in WORKS]
+    return [*parts, histories.work + histories.torque_work]
+
+
 def trace_work(histories: Histories, *, interval_T: float) -> dict[str, list[float]]:
-    """Return ``work`` and ``lateral_work`` since the start about once per T (``time_T``).
+    """Return ``work``, ``torque_work``, ``lateral_work`` since the start once per T (``time_T``).
 
     Means over the episodes of one flow that still run, in rho L^2 (L / T)^2.
     """
     every = max(1, round(1.0 / interval_T))
-    names = ("work", "lateral_work")
+    names = ("work", "torque_work", "lateral_work")
     means = {name: getattr(histories, name)[:, ::every].double().nanmean(0) for name in names}
     runs = ~means["work"].isnan()
     times = interval_T * every * torch.arange(len(runs), dtype=torch.float64)

@@ -102,12 +102,12 @@ def write_decisions(
 def write_work(
     path: Path, in_wake: Traces, free: Traces | None, *, speeds: Sequence[float]
 ) -> None:
-    """Draw the work done since the start, in each flow."""
-    names = (("work", "all forces"), ("lateral_work", "lateral, the paper's form"))
+    """Draw the work of muscles and of the torque that holds the heading since the start."""
+    names = {"work": "muscles", "torque_work": "torque", "lateral_work": "lateral, paper's form"}
     with _flow_panels(path, speeds, height=3.4) as grid:
         for at, axes in enumerate(grid[0]):
             for where, traces, style in (("wake", in_wake, "-"), ("free stream", free, "--")):
-                for (field, label), colour in zip(names, COLOURS, strict=False):
+                for (field, label), colour in zip(names.items(), COLOURS, strict=False):
                     if traces is not None:
                         line = (traces[at]["time_T"], traces[at][field], style)
                         axes.plot(*line, color=colour, linewidth=1.4, label=f"{where}: {label}")

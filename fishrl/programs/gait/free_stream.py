@@ -13,8 +13,8 @@ from typing import Any
 from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.modules import PID
-from fishrl.programs.gait.diagnostics import trace_work
-from fishrl.programs.gait.trials import WORKS, Histories, Trial, pick, prolong, run_trial
+from fishrl.programs.gait.diagnostics import BALANCE, list_works, trace_work
+from fishrl.programs.gait.trials import Histories, Trial, pick, prolong, run_trial
 from fishrl.programs.statistics import half_width
 from fishrl.training.baselines import make_gait_policy
 from fishrl.training.callback import Callback
@@ -84,8 +84,7 @@ def summarise(held: Histories, *, interval_T: float) -> dict[str, float]:
     half = num_intervals // 2
     time_T = interval_T * (num_intervals - half)
     row: dict[str, float] = {}
-    for name in WORKS:
-        series = getattr(held, name)
+    for name, series in zip(BALANCE, list_works(held), strict=True):
         per_T = (series[:, -1] - series[:, half]) / time_T
         row |= {name: float(per_T.mean()), f"{name}_error": half_width(per_T.tolist())}
     row["frequency"] = float(held.frequency[:, half:].mean())

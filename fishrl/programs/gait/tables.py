@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from math import nan
 from typing import Any
 
-from fishrl.programs.gait.trials import WORKS
+from fishrl.programs.gait.diagnostics import BALANCE
 from fishrl.programs.pages import write_table
 from fishrl.programs.statistics import show
 
@@ -24,13 +24,16 @@ MOTION = (
     ("angle mean, °", "angle_mean", ".1f"),
     ("max, °", "angle_max", ".1f"),
     ("phase lock", "phase_lock", ".2f"),
-    ("work per T", "work", ".3f"),
+    ("work per T: muscles", "work", ".3f"),
     ("pushing", "positive_work", ".3f"),
+    ("torque", "torque_work", ".3f"),
+    ("sum", "total_work", ".3f"),
     ("lateral", "lateral_work", ".3f"),
 )
 HELD_HEADS = ("stream, L/T", "beats per T", "drift, L/T", "held")
 WORK_HEADS = (
-    *("stream, L/T", "work, wake", "free", "ratio", "saved", "pushing: ratio"),
+    *("stream, L/T", "muscles, wake", "free", "ratio", "saved", "pushing, wake", "free", "ratio"),
+    *("torque, wake", "free", "sum, wake", "free"),
     *("lateral (paper's form), wake", "free", "ratio"),
 )
 
@@ -41,7 +44,8 @@ Results = Mapping[str, Sequence[Mapping[str, float]]]
 def write_results(results: Results, speeds: Sequence[float]) -> str:
     """Return Markdown tables of station and motion, a row per arm and flow.
 
-    ``speeds`` are those of the flows, L / T.
+    ``speeds`` are those of the flows, L / T. The heading is held by an external torque: its work
+    and the net work of the muscles add up to what the water receives.
     """
     tables = []
     for columns in (STATION, MOTION):
@@ -73,11 +77,13 @@ def write_free_stream(
     for speed, wake, still in zip(speeds, in_wake, free["flows"], strict=True):
         count = f"{still['held']} of {still['episodes']}"
         held.append([f"{speed:g}", *(show(still[name], form) for name, form in forms), count])
-        work, pushing, lateral = (divide_work(still, wake, name) for name in WORKS)
+        pairs = {name: ((wake[name], ".3f"), (still[name], ".2f")) for name in BALANCE}
+        ratios = {name: divide_work(still, wake, name) for name in BALANCE}
         cells = (
-            *((wake["work"], ".3f"), (still["work"], ".2f"), (work, ".1f")),
-            *((1.0 - 1.0 / work, ".1%"), (pushing, ".1f")),
-            *((wake["lateral_work"], ".3f"), (still["lateral_work"], ".2f"), (lateral, ".1f")),
+            *(*pairs["work"], (ratios["work"], ".1f"), (1.0 - 1.0 / ratios["work"], ".1%")),
+            *(*pairs["positive_work"], (ratios["positive_work"], ".1f")),
+            *(*pairs["torque_work"], *pairs["total_work"]),
+            *(*pairs["lateral_work"], (ratios["lateral_work"], ".1f")),
         )
         rows.append([f"{speed:g}", *(show(value, form) for value, form in cells)])
     scales = f"Free stream: T = {free['steps_per_T']} steps, Mach {free['mach']:.2f}."

@@ -33,7 +33,7 @@ START_X_BL, START_Y_BL = (1.5, 2.0), (-0.1, 0.1)
 #: Frames within an action, for phases.
 FRAMES = 8
 #: Entries of ``Histories``: work done since the start.
-WORKS = ("work", "positive_work", "lateral_work")
+WORKS = ("work", "positive_work", "lateral_work", "torque_work")
 _TRAINING = tuple(f"fishrl.training.{name}" for name in ("algorithms", "baselines", "policies"))
 _SOURCES = ("fishrl.envs", "fishrl.modules", *_TRAINING, __name__)
 
@@ -46,9 +46,10 @@ class Histories(NamedTuple):
     frequency: Tensor  #: [E, N] beats per T of each interval
     named: Tensor  #: [E, N] flow label given to the policy at the decision; NaN without one
     angle_of_attack: Tensor  #: [E, N] at the end of the interval, radians
-    work: Tensor  #: [E, N + 1] done since the start by all forces, rho L^2 (L / T)^2
+    work: Tensor  #: [E, N + 1] net work of the muscles since the start, rho L^2 (L / T)^2
     positive_work: Tensor  #: [E, N + 1] where no marker gives back what the flow does on it
     lateral_work: Tensor  #: [E, N + 1] in the paper's form
+    torque_work: Tensor  #: [E, N + 1] of the external torque that holds the heading
     lengths_T: Tensor  #: [E] duration of the episode, also within its last interval
     terminated: Tensor  #: [E] bool, whether it left the safe area
     diverged: Tensor  #: [E] bool

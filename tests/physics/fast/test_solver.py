@@ -61,6 +61,7 @@ def assert_equal_to_reference(
         assert float((got.position - expected.position).abs().max()) < small
         assert float((got.heading - expected.heading).abs().max()) < 0.1 * small
         torch.testing.assert_close(got.work, expected.work, rtol=small, atol=small)
+        torch.testing.assert_close(got.torque_work, expected.torque_work, rtol=small, atol=small)
         torch.testing.assert_close(got.impulse, expected.impulse, rtol=small, atol=small)
 
 

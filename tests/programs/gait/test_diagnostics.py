@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from fishrl.programs.gait.diagnostics import combine_seeds, diagnose, find_phase, trace_work
+from fishrl.programs.gait.diagnostics import (
+    BALANCE,
+    combine_seeds,
+    diagnose,
+    find_phase,
+    trace_work,
+)
 from fishrl.programs.gait.tables import write_free_stream, write_results
 from fishrl.programs.gait.trials import Histories
 from fishrl.programs.statistics import half_width
@@ -36,6 +42,7 @@ def make_histories(*, lengths: list[int], beat: float = SHED) -> Histories:
         work=cut(2.0 * time, gone),
         positive_work=cut(3.0 * time, gone),
         lateral_work=cut(1.0 * time, gone),
+        torque_work=cut(-0.5 * time, gone),
         lengths_T=lengths_T,
         terminated=lengths_T < NUM,
         diverged=torch.zeros(len(lengths), dtype=torch.bool),
@@ -71,7 +78,7 @@ def test_work_is_traced_once_per_T_until_the_last_fish_ends() -> None:
 
 def test_rates_are_per_T_of_all_episodes_together() -> None:
     result = reduce(make_histories(lengths=[40, 10]))
-    assert [result[name] for name in ("work", "positive_work", "lateral_work")] == [2.0, 3.0, 1.0]
+    assert [result[name] for name in BALANCE] == [2.0, 3.0, 1.0, -0.5, 1.5]
     assert result["angle_mean"] == pytest.approx(math.degrees(0.1))
     assert result["named_right"] == pytest.approx(38 / 50)  # every fourth is named wrongly
 
@@ -113,7 +120,9 @@ def test_tables_have_a_row_per_policy_and_flow_and_ratios_of_work() -> None:
     assert len(table.splitlines()) == 2 * 6 + 1
     assert "| pid | 1.5 | 2 | 0 | 31.5 ±" in table
     held = {"held": 1, "episodes": 2, "frequency": 4.0, "drift": 0.001}
-    flows = [held | {"work": 8.0, "positive_work": 9.0, "lateral_work": 5.0}]
+    flows = [held | dict(zip(BALANCE, (8.0, 9.0, 5.0, 1.0, 9.0), strict=True))]
     free = write_free_stream({"flows": flows, "steps_per_T": 900, "mach": 0.17}, [result], (1,))
-    row = "| 1 | 2.000 | 8.00 | 4.0 | 75.0% | 3.0 | 1.000 | 5.00 | 5.0 |"
-    assert row in free and "| 1 | 4.00 | +0.0010 | 1 of 2 |" in free
+    muscles, pushing = "2.000 | 8.00 | 4.0 | 75.0%", "3.000 | 9.00 | 3.0"
+    others = "-0.500 | 1.00 | 1.500 | 9.00 | 1.000 | 5.00 | 5.0"
+    assert f"| 1 | {muscles} | {pushing} | {others} |" in free
+    assert "| 1 | 4.00 | +0.0010 | 1 of 2 |" in free
