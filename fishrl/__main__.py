@@ -8,6 +8,8 @@ from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 
+COMPLETION = ("-sc", "--shell-completion")
+
 
 def list_programs() -> dict[str, str]:
     """Return the first line of the docstring of each program, a module with ``main``."""
@@ -22,9 +24,14 @@ def list_programs() -> dict[str, str]:
 
 def describe_programs() -> str:
     """Return the list of programs, as ``fishrl`` alone prints it."""
-    usage = "usage: fishrl <program> key=value ...; fishrl <program> --help lists its settings\n"
     lines = [f"  {name:<20}{line}" for name, line in list_programs().items()]
-    return "\n".join([usage, *lines]).replace("``", "`")
+    return "\n".join(
+        [
+            "usage: fishrl <program> key=value ...; fishrl <program> --help lists its settings\n",
+            *lines,
+            '\ntab completion in bash: eval "$(fishrl -sc install=bash)"; also zsh and fish',
+        ]
+    ).replace("``", "`")
 
 
 def main() -> None:
@@ -38,6 +45,9 @@ def main() -> None:
     gc.disable()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if words[0] in COMPLETION:
+        import_module("fishrl.programs.completion").answer(list_programs())
+        return
     if words[0] not in (known := list_programs()):
         near = get_close_matches(words[0], known, n=1)
         there = f"did you mean {near[0]!r}?" if near else f"there is: {', '.join(known)}"

@@ -189,7 +189,7 @@ def split_options(arguments: Sequence[str]) -> argparse.Namespace:
     return parser.parse_intermixed_args(list(arguments))
 
 
-def run_hydra(run: Callable[[DictConfig], None], name: str, words: Sequence[str]) -> None:
+def run_hydra(run: Callable[[DictConfig], None], name: str | None, words: Sequence[str]) -> None:
     """Hand a command line, as ``CommandLine.prepare`` writes it, to hydra.
 
     Args:

@@ -1,7 +1,8 @@
-"""``fishrl`` itself: the list of programs, and mistakes in one line."""
+"""``fishrl`` itself: the list of programs, and tab completion as the shell asks for it."""
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,13 +10,15 @@ from pathlib import Path
 import pytest
 
 from fishrl.__main__ import list_programs
+from fishrl.programs.completion import answer
 
 ROOT = Path(__file__).parents[2]
 
 
-def run(*words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "fishrl", *words]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+def run(*words: str, command: str = sys.executable, **env: str) -> subprocess.CompletedProcess[str]:
+    words = words if command == "bash" else ("-m", "fishrl", *words)
+    env = os.environ | env
+    return subprocess.run([command, *words], cwd=ROOT, env=env, capture_output=True, text=True)
 
 
 def test_fishrl_alone_lists_each_program_with_the_first_line_of_its_docstring() -> None:
@@ -37,3 +40,47 @@ def test_fishrl_alone_lists_each_program_with_the_first_line_of_its_docstring() 
 def test_a_mistake_ends_a_program_with_one_line(words: list[str], said: str) -> None:
     done = run(*words)
     assert (done.returncode, done.stderr) == (1, f"error: {said}\n")
+
+
+@pytest.mark.parametrize(
+    ("line", "completed"),
+    [
+        ("fishrl eval", ["evaluate"]),
+        ("fishrl train task=karman_g", ["karman_gait", "_continuous", "_direct"]),
+        ("fishrl train tot", ["total_frames="]),
+        ("fishrl train --multirun seed=0,1 alg", ["algorithm=", "algorithm."]),
+        ("fishrl train task=karman_gait task.stream.has", ["task.stream.has_disc="]),
+        ("fishrl train preset=nix se", []),
+    ],
+)
+def test_the_shell_completes_programs_choices_and_nested_settings(
+    line: str,
+    completed: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["fishrl", "-sc", "query=bash"])
+    monkeypatch.setenv("COMP_LINE", line)
+    answer(list_programs())
+    said = capsys.readouterr().out
+    words = said.split()
+    assert bool(words) == bool(completed)
+    assert all(part in said for part in completed)
+    assert all(word.startswith(line.split()[-1]) for word in words)
+
+
+def test_bash_completes_with_the_function_that_fishrl_installs(tmp_path: Path) -> None:
+    (tmp_path / "fishrl").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m fishrl "$@"\n')
+    (tmp_path / "fishrl").chmod(0o700)
+    (tmp_path / "conf" / "task").mkdir(parents=True)
+    (tmp_path / "conf" / "task" / "predator.yaml").touch()
+    line = f"fishrl train --config-dir {tmp_path / 'conf'} task=preda"
+    script = f"""
+    COMP_WORDBREAKS="="; eval "$(fishrl -sc install=bash)"
+    COMP_LINE="{line}" COMP_CWORD=4
+    hydra_bash_completion; echo "${{COMPREPLY[@]}}"
+    """
+    done = run("-c", script, command="bash", PATH=f"{tmp_path}:{os.environ['PATH']}")
+    own = "task=predator"
+    shipped = ["task=predation", "task=predation_continuous", "task=predation_pair"]
+    assert sorted(done.stdout.split()) == sorted([own, *shipped]), done.stderr
