@@ -44,10 +44,11 @@ def run_sweep(*arguments: str) -> int:
 
 def run_sweep_here(*arguments: str) -> int:
     """Return the exit code of a sweep in this process, which imports nothing again."""
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as end:
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", [*sys.argv])  # hydra reads and changes it
         patch.chdir(ROOT)
-        train.main(["--multirun", *arguments])
+        with pytest.raises(SystemExit) as end:
+            train.main(["--multirun", *arguments])
     return int(end.value.code or 0)
 
 
