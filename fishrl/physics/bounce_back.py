@@ -35,25 +35,15 @@ from fishrl.physics.surface import Freedom, prescribe_surface, slice_markers
 
 
 class Slots(NamedTuple):
-    """Where the outgoing populations of nodes lie in a flat buffer ``data``.
+    """Where the outgoing populations of nodes lie in a flat buffer ``data``."""
 
-    Attributes:
-        data: populations after collision; changed in place.
-        offsets: ``[Q]`` int64, by direction.
-        first: ``[B]`` int64, of each flow's node (0, 0).
-        row_length: from a node to the next along y.
-        scrap: ``[B]`` int64, a slot of each flow that nobody reads.
-        lattice: ``[Q, 3]`` float64, c_x, c_y and w of each direction.
-        storage: format of ``data``.
-    """
-
-    data: Tensor
-    offsets: Tensor
-    first: Tensor
-    row_length: int
-    scrap: Tensor
-    lattice: Tensor
-    storage: Storage | None
+    data: Tensor  #: populations after collision; changed in place
+    offsets: Tensor  #: ``[Q]`` int64, by direction
+    first: Tensor  #: ``[B]`` int64, of each flow's node (0, 0)
+    row_length: int  #: from a node to the next along y
+    scrap: Tensor  #: ``[B]`` int64, a slot of each flow that nobody reads
+    lattice: Tensor  #: ``[Q, 3]`` float64, c_x, c_y and w of each direction
+    storage: Storage | None  #: format of ``data``
 
     def read(self, x: Tensor, y: Tensor, q: Tensor) -> Tensor:
         """Return outgoing populations q of nodes (x, y), int64 ``[B, ...]``."""
@@ -102,22 +92,14 @@ def list_slots(outgoing: Sequence[Tensor]) -> Slots:
 
 
 class _Wall(NamedTuple):
-    """What meets a body's skin; ``[B, 4, N]`` each.
+    """What meets a body's skin; ``[B, 4, N]`` each."""
 
-    Attributes:
-        links: links that the skin cuts.
-        cx: direction of each link, into the body.
-        cy: the same along y.
-        arriving: f'_i at the node outside.
-        still: what returns from a skin at rest.
-        gain: what returns less per velocity of the skin into the body, 6 w_i or 6 w_i / (2 q).
-    """
-
-    links: Links
-    cx: Tensor
-    cy: Tensor
-    arriving: Tensor
-    still: Tensor
+    links: Links  #: links that the skin cuts
+    cx: Tensor  #: direction of each link, into the body
+    cy: Tensor  #: the same along y
+    arriving: Tensor  #: f'_i at the node outside
+    still: Tensor  #: what returns from a skin at rest
+    #: what returns less per velocity of the skin into the body, 6 w_i or 6 w_i / (2 q)
     gain: Tensor
 
     def reflect(self, ux: Tensor, uy: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -128,15 +110,10 @@ class _Wall(NamedTuple):
 
 
 class Skin(NamedTuple):
-    """Where the skins of all bodies are.
+    """Where the skins of all bodies are."""
 
-    Attributes:
-        outlines: outlines of the bodies.
-        links: links that each body's outline cuts.
-    """
-
-    outlines: Outlines
-    links: tuple[Links, ...]
+    outlines: Outlines  #: outlines of the bodies
+    links: tuple[Links, ...]  #: links that each body's outline cuts
 
 
 def locate_skin(

@@ -41,23 +41,14 @@ def compute_coefficient(force: Tensor, *, length: float, speed: float, rho: floa
 
 
 class Cycles(NamedTuple):
-    """Statistics of a signal over whole periods.
+    """Statistics of a signal over whole periods."""
 
-    Attributes:
-        frequency: periods per unit of time, from its zero crossings.
-        num_cycles: number of periods.
-        mean: over whole periods.
-        rms: root mean square deviation from the mean.
-        low: mean of the periods' minima.
-        high: mean of the periods' maxima.
-    """
-
-    frequency: float
-    num_cycles: int
-    mean: float
-    rms: float
-    low: float
-    high: float
+    frequency: float  #: periods per unit of time, from its zero crossings
+    num_cycles: int  #: number of periods
+    mean: float  #: over whole periods
+    rms: float  #: root mean square deviation from the mean
+    low: float  #: mean of the periods' minima
+    high: float  #: mean of the periods' maxima
 
     @property
     def amplitude(self) -> float:

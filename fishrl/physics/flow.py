@@ -217,36 +217,23 @@ class FlowConfig(Settings):
 
 
 class FlowParams(NamedTuple):
-    """What may differ between the flows of a batch, float64.
+    """What may differ between the flows of a batch, float64."""
 
-    Attributes:
-        tau: ``[B]`` relaxation time.
-        stream_speed: ``[B]`` nodes per step, once the last change is over.
-        ramp_steps: ``[B]`` duration of that change in steps; initially the rise of the stream.
-        former_speed: ``[B]`` speed before that change, nodes per step; 0 at rest.
-        ramp_start: ``[B]`` beginning of that change, steps since the start.
-        bodies: parameters of each body.
-    """
-
-    tau: Tensor
-    stream_speed: Tensor
+    tau: Tensor  #: ``[B]`` relaxation time
+    stream_speed: Tensor  #: ``[B]`` nodes per step, once the last change is over
+    #: ``[B]`` duration of that change in steps; initially the rise of the stream
     ramp_steps: Tensor
-    former_speed: Tensor
-    ramp_start: Tensor
-    bodies: tuple[BodyParams, ...]
+    former_speed: Tensor  #: ``[B]`` speed before that change, nodes per step; 0 at rest
+    ramp_start: Tensor  #: ``[B]`` beginning of that change, steps since the start
+    bodies: tuple[BodyParams, ...]  #: parameters of each body
 
 
 class FlowState(NamedTuple):
-    """State of a batch of flows.
+    """State of a batch of flows."""
 
-    Attributes:
-        f: ``[B, Q, Y, X]`` incoming populations, shifted by the weights.
-        bodies: state of each body.
-        clock: ``[B]`` steps since the start; None means that the stream no longer changes.
-    """
-
-    f: Tensor
-    bodies: tuple[BodyState, ...] = ()
+    f: Tensor  #: ``[B, Q, Y, X]`` incoming populations, shifted by the weights
+    bodies: tuple[BodyState, ...] = ()  #: state of each body
+    #: ``[B]`` steps since the start; None means that the stream no longer changes
     clock: Tensor | None = None
 
 

@@ -15,45 +15,27 @@ from fishrl.physics.immersed_boundary import Stencil, make_stencil, overlap_mark
 
 
 class Markers(NamedTuple):
-    """Where the markers of one body are and how they deform, ``[B, N, 2]`` each.
+    """Where the markers of one body are and how they deform, ``[B, N, 2]`` each."""
 
-    Attributes:
-        position: in nodes.
-        arm: position relative to the centre of mass.
-        deformation_velocity: velocity without the rigid motion, u_def.
-    """
-
-    position: Tensor
-    arm: Tensor
-    deformation_velocity: Tensor
+    position: Tensor  #: in nodes
+    arm: Tensor  #: position relative to the centre of mass
+    deformation_velocity: Tensor  #: velocity without the rigid motion, u_def
 
 
 class Outlines(NamedTuple):
-    """The outlines of all bodies in one step.
+    """The outlines of all bodies in one step."""
 
-    Attributes:
-        deformations: deformation of each body.
-        markers: markers of each body.
-    """
-
-    deformations: tuple[Deformation, ...]
-    markers: tuple[Markers, ...]
+    deformations: tuple[Deformation, ...]  #: deformation of each body
+    markers: tuple[Markers, ...]  #: markers of each body
 
 
 class BodyGeometry(NamedTuple):
-    """All bodies in one step; the markers of the bodies follow each other in N.
+    """All bodies in one step; the markers of the bodies follow each other in N."""
 
-    Attributes:
-        outlines: how the bodies deform and where their markers are.
-        spacing: ``[B, N]`` length of outline that each marker represents.
-        stencil: nodes around all markers.
-        operator: what the force solve needs, from ``ForceSolve.prepare``.
-    """
-
-    outlines: Outlines
-    spacing: Tensor
-    stencil: Stencil
-    operator: tuple[Tensor, ...]
+    outlines: Outlines  #: how the bodies deform and where their markers are
+    spacing: Tensor  #: ``[B, N]`` length of outline that each marker represents
+    stencil: Stencil  #: nodes around all markers
+    operator: tuple[Tensor, ...]  #: what the force solve needs, from ``ForceSolve.prepare``
 
 
 def locate_bodies(

@@ -19,19 +19,12 @@ from fishrl.settings import Settings
 
 
 class Stencil(NamedTuple):
-    """The nodes around each marker; S is the kernel's support. Markers come last in memory.
+    """The nodes around each marker; S is the kernel's support. Markers come last in memory."""
 
-    Attributes:
-        x: ``[B, N]`` column of the first node, a whole number in the weights' type.
-        y: ``[B, N]`` row of the first node.
-        weight_x: ``[B, S, N]`` kernel weights along x.
-        weight_y: ``[B, S, N]`` kernel weights along y.
-    """
-
-    x: Tensor
-    y: Tensor
-    weight_x: Tensor
-    weight_y: Tensor
+    x: Tensor  #: ``[B, N]`` column of the first node, a whole number in the weights' type
+    y: Tensor  #: ``[B, N]`` row of the first node
+    weight_x: Tensor  #: ``[B, S, N]`` kernel weights along x
+    weight_y: Tensor  #: ``[B, S, N]`` kernel weights along y
 
     @property
     def weights(self) -> Tensor:

@@ -21,29 +21,17 @@ MARGIN = 2.0
 
 
 class Links(NamedTuple):
-    """Links that an outline cuts; ``[B, 4, N]``, one row per family of lattice lines.
+    """Links that an outline cuts; ``[B, 4, N]``, one row per family of lattice lines."""
 
-    Attributes:
-        is_cut: whether the segment from marker n to the next crosses a line of the family.
-        x: node outside, int64.
-        y: node outside, int64.
-        cx: int64, direction from there into the body.
-        cy: int64, the same along y.
-        q: int64, its number.
-        back: int64, the number of the opposite direction.
-        fraction: part of the link outside the body, 0 to 1.
-        at: place of the crossing on the segment, 0 to 1.
-    """
-
-    is_cut: Tensor
-    x: Tensor
-    y: Tensor
-    cx: Tensor
-    cy: Tensor
-    q: Tensor
-    back: Tensor
-    fraction: Tensor
-    at: Tensor
+    is_cut: Tensor  #: whether the segment from marker n to the next crosses a line of the family
+    x: Tensor  #: node outside, int64
+    y: Tensor  #: node outside, int64
+    cx: Tensor  #: int64, direction from there into the body
+    cy: Tensor  #: int64, the same along y
+    q: Tensor  #: int64, its number
+    back: Tensor  #: int64, the number of the opposite direction
+    fraction: Tensor  #: part of the link outside the body, 0 to 1
+    at: Tensor  #: place of the crossing on the segment, 0 to 1
 
     def along_axes(self) -> "Links":
         """Return the links along x and y, ``[B, 2, N]``."""

@@ -17,27 +17,16 @@ Pair = tuple[Tensor, Tensor]
 
 
 class RigidUpdate(NamedTuple):
-    """Result of one coupled solve for one body.
+    """Result of one coupled solve for one body."""
 
-    Attributes:
-        velocity: ``[B, 2]`` new velocity of the centre of mass.
-        angular_velocity: ``[B]`` new Omega.
-        slip_error: ``[B]`` largest remaining velocity error at a marker.
-        force: ``[B, 2]`` total force on the fluid.
-        torque: ``[B]`` total torque on the fluid.
-        power: ``[B]`` sum of F . u_def.
-        positive_power: ``[B]`` the same over those markers where it is positive.
-        lateral_power: ``[B]`` its part along the body's own lateral axis, without -H/I.
-    """
-
-    velocity: Tensor
-    angular_velocity: Tensor
-    slip_error: Tensor
-    force: Tensor
-    torque: Tensor
-    power: Tensor
-    positive_power: Tensor
-    lateral_power: Tensor
+    velocity: Tensor  #: ``[B, 2]`` new velocity of the centre of mass
+    angular_velocity: Tensor  #: ``[B]`` new Omega
+    slip_error: Tensor  #: ``[B]`` largest remaining velocity error at a marker
+    force: Tensor  #: ``[B, 2]`` total force on the fluid
+    torque: Tensor  #: ``[B]`` total torque on the fluid
+    power: Tensor  #: ``[B]`` sum of F . u_def
+    positive_power: Tensor  #: ``[B]`` the same over those markers where it is positive
+    lateral_power: Tensor  #: ``[B]`` its part along the body's own lateral axis, without -H/I
 
 
 def report_bodies(

@@ -17,23 +17,15 @@ Pair = tuple[Tensor | None, Tensor | None]
 
 
 class Freedom(NamedTuple):
-    """One rigid degree of freedom that the flow determines.
+    """One rigid degree of freedom that the flow determines."""
 
-    Attributes:
-        body: index of its body.
-        axis: 0 and 1 for the centre of mass along x and y, 2 for turning.
-        unit: velocity (x, y) that a unit of it gives all markers, ``[B, N]``; None is zero.
-        rows: rows of the force solve that hold its right-hand sides.
-        inertia: ``[B]`` mass or moment of inertia; implicit coupling leaves out the fluid's inside.
-        push: ``[B]`` force or torque in addition to the fluid's.
-    """
-
-    body: int
-    axis: int
-    unit: Pair
-    rows: tuple[int | None, int | None]
+    body: int  #: index of its body
+    axis: int  #: 0 and 1 for the centre of mass along x and y, 2 for turning
+    unit: Pair  #: velocity (x, y) that a unit of it gives all markers, ``[B, N]``; None is zero
+    rows: tuple[int | None, int | None]  #: rows of the force solve that hold its right-hand sides
+    #: ``[B]`` mass or moment of inertia; implicit coupling leaves out the fluid's inside
     inertia: Tensor
-    push: Tensor
+    push: Tensor  #: ``[B]`` force or torque in addition to the fluid's
 
     def respond(self, solution: Tensor) -> Pair:
         """Return the rows (x, y) of a solution ``[B, R, N]`` that a unit of it causes."""
@@ -42,19 +34,13 @@ class Freedom(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """How the bodies' surface moves if the flow changes no rate, and the rates that it may change.
+    """How the bodies' surface moves if the flow changes no rate, and what it may change."""
 
-    Attributes:
-        rates: (U_x, U_y, Omega) ``[B]`` of each body: prescribed, or as in the last step.
-        velocity: ``[B, 2, N]`` of the markers at these rates.
-        freedoms: rates that the flow determines.
-        units: ``[B, N]`` right-hand sides of the force solve for the freedoms.
-    """
-
+    #: (U_x, U_y, Omega) ``[B]`` of each body: prescribed, or as in the last step
     rates: list[list[Tensor]]
-    velocity: Tensor
-    freedoms: list[Freedom]
-    units: list[Tensor]
+    velocity: Tensor  #: ``[B, 2, N]`` of the markers at these rates
+    freedoms: list[Freedom]  #: rates that the flow determines
+    units: list[Tensor]  #: ``[B, N]`` right-hand sides of the force solve for the freedoms
 
 
 def prescribe_surface(

@@ -96,26 +96,17 @@ def compute_ramp_rate(beats: Tensor, frequency: Tensor) -> Tensor:
 
 
 class Deformation(NamedTuple):
-    """An outline and its velocity in the momentum-free frame, lattice units.
+    """An outline and its velocity in the momentum-free frame, lattice units."""
 
-    Attributes:
-        axial: ``[B, N]`` coordinate of the markers along the body axis.
-        lateral: ``[B, N]`` coordinate across it.
-        axial_velocity: ``[B, N]`` deformation velocity along the axis.
-        lateral_velocity: ``[B, N]`` deformation velocity across it, Z_t - y_c,t.
-        spin: ``[B]`` angular velocity -H / I of the body frame that makes the deformation free of
-            angular momentum.
-        inertia: ``[B]`` polar moment of area I of the deformed body.
-        inertia_rate: ``[B]`` dI/dt.
-    """
-
-    axial: Tensor
-    lateral: Tensor
-    axial_velocity: Tensor
-    lateral_velocity: Tensor
+    axial: Tensor  #: ``[B, N]`` coordinate of the markers along the body axis
+    lateral: Tensor  #: ``[B, N]`` coordinate across it
+    axial_velocity: Tensor  #: ``[B, N]`` deformation velocity along the axis
+    lateral_velocity: Tensor  #: ``[B, N]`` deformation velocity across it, Z_t - y_c,t
+    #: ``[B]`` angular velocity -H / I of the body frame that makes the deformation free of angular
+    #: momentum
     spin: Tensor
-    inertia: Tensor
-    inertia_rate: Tensor
+    inertia: Tensor  #: ``[B]`` polar moment of area I of the deformed body
+    inertia_rate: Tensor  #: ``[B]`` dI/dt
 
 
 def compute_amplitude_rate(body: BodyState) -> Tensor:

@@ -22,23 +22,14 @@ _Pair = tuple[Tensor, Tensor]
 
 
 class Midline(NamedTuple):
-    """A midline and its change per step; ``[B, S]``, of vectors a pair (x, y).
+    """A midline and its change per step; ``[B, S]``, of vectors a pair (x, y)."""
 
-    Attributes:
-        points: in nodes, in a frame of its own.
-        tangent: unit vector from nose to tail.
-        curvature: kappa, per node.
-        points_rate: change of ``points``.
-        tangent_rate: change of ``tangent``.
-        curvature_rate: change of ``curvature``.
-    """
-
-    points: _Pair
-    tangent: _Pair
-    curvature: Tensor
-    points_rate: _Pair
-    tangent_rate: _Pair
-    curvature_rate: Tensor
+    points: _Pair  #: in nodes, in a frame of its own
+    tangent: _Pair  #: unit vector from nose to tail
+    curvature: Tensor  #: kappa, per node
+    points_rate: _Pair  #: change of ``points``
+    tangent_rate: _Pair  #: change of ``tangent``
+    curvature_rate: Tensor  #: change of ``curvature``
 
 
 class Curve(Protocol):
@@ -53,13 +44,9 @@ class Curve(Protocol):
 
 
 class Slope(NamedTuple):
-    """A gait's midline, given by its slope.
+    """A gait's midline, given by its slope."""
 
-    Attributes:
-        modes: ``[B, 3, 3, S]`` the three modes (sine, cosine, bend), Z, and Z', Z'' along the
-            midline.
-    """
-
+    #: ``[B, 3, 3, S]`` the three modes (sine, cosine, bend), Z, and Z', Z'' along the midline
     modes: Tensor
 
     def draw(self, body: BodyState, bend_rate: Tensor, step: Tensor) -> Midline:
@@ -90,29 +77,17 @@ def accumulate(slope: Tensor, step: Tensor) -> Tensor:
 
 
 class MidlineParams(NamedTuple):
-    """A fish along its midline, lattice units; ``[B, ...]`` or ``[1, ...]``, float64.
+    """A fish along its midline, lattice units; ``[B, ...]`` or ``[1, ...]``, float64."""
 
-    Attributes:
-        spacing: ``[B, N]`` length of outline that each marker represents.
-        lateral: ``[B, N]`` signed distance of each marker from the midline.
-        station: ``[B, N]`` index of the midline point that each marker belongs to.
-        step: ``[B, S]`` arc length from each midline point to the one before (first: 0).
-        weight: ``[B, S]`` arc length that each midline point represents.
-        half: ``[B, S]`` half-thickness.
-        curve: what sets the midline.
-        area: ``[B]`` of the body.
-        density_ratio: ``[B]`` body density over fluid density.
-    """
-
-    spacing: Tensor
-    lateral: Tensor
-    station: Tensor
-    step: Tensor
-    weight: Tensor
-    half: Tensor
-    curve: Curve
-    area: Tensor
-    density_ratio: Tensor
+    spacing: Tensor  #: ``[B, N]`` length of outline that each marker represents
+    lateral: Tensor  #: ``[B, N]`` signed distance of each marker from the midline
+    station: Tensor  #: ``[B, N]`` index of the midline point that each marker belongs to
+    step: Tensor  #: ``[B, S]`` arc length from each midline point to the one before (first: 0)
+    weight: Tensor  #: ``[B, S]`` arc length that each midline point represents
+    half: Tensor  #: ``[B, S]`` half-thickness
+    curve: Curve  #: what sets the midline
+    area: Tensor  #: ``[B]`` of the body
+    density_ratio: Tensor  #: ``[B]`` body density over fluid density
 
     def draw(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return the markers along and across the axis ``[B, N]``, without their velocity."""

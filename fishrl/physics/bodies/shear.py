@@ -22,28 +22,17 @@ class ShearParams(NamedTuple):
     modes: the gait's sine and cosine and the bend; a rigid body has one mode, which is zero. Each
     mode is centred: its mean over the body's area is removed, so that deforming never moves the
     centre of mass.
-
-    Attributes:
-        axial: ``[B, N]`` coordinate of each marker along the axis (constant).
-        lateral: ``[B, N]`` coordinate across it when the body is straight (constant).
-        spacing: ``[B, N]`` length of outline that each marker represents.
-        modes: ``[B, K, N]`` Z_k at the markers.
-        moments: ``[B, K]`` integral of m X Z_k, with m the thickness.
-        gram: ``[B, K, K]`` integral of m Z_j Z_k.
-        area: ``[B]`` of the body.
-        inertia: ``[B]`` polar moment of area of the straight body about its centre.
-        density_ratio: ``[B]`` body density over fluid density.
     """
 
-    axial: Tensor
-    lateral: Tensor
-    spacing: Tensor
-    modes: Tensor
-    moments: Tensor
-    gram: Tensor
-    area: Tensor
-    inertia: Tensor
-    density_ratio: Tensor
+    axial: Tensor  #: ``[B, N]`` coordinate of each marker along the axis (constant)
+    lateral: Tensor  #: ``[B, N]`` coordinate across it when the body is straight (constant)
+    spacing: Tensor  #: ``[B, N]`` length of outline that each marker represents
+    modes: Tensor  #: ``[B, K, N]`` Z_k at the markers
+    moments: Tensor  #: ``[B, K]`` integral of m X Z_k, with m the thickness
+    gram: Tensor  #: ``[B, K, K]`` integral of m Z_j Z_k
+    area: Tensor  #: ``[B]`` of the body
+    inertia: Tensor  #: ``[B]`` polar moment of area of the straight body about its centre
+    density_ratio: Tensor  #: ``[B]`` body density over fluid density
 
     def draw(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return the markers along and across the axis ``[B, N]``, without their velocity."""

@@ -7,64 +7,38 @@ from torch import Tensor
 
 
 class BodyState(NamedTuple):
-    """State of one body in each flow, float64, lattice units; every field starts with ``[B]``.
+    """State of one body in each flow, float64, lattice units; every field starts with ``[B]``."""
 
-    Attributes:
-        position: ``[B, 2]`` centre of mass (x, y).
-        heading: direction that the nose faces, radians from +x, counter-clockwise.
-        internal_angle: rotation of the momentum-free frame that the beating itself causes.
-        velocity: ``[B, 2]`` of the centre of mass.
-        angular_velocity: Omega, without the beating's own rotation.
-        phase: phase of the body wave or oscillation, radians.
-        frequency: tail beats or oscillations per step; a negative one reverses the wave.
-        beats: tail beats or oscillations since reset.
-        age: steps since reset.
-        bend: kappa of the midline's bend kappa L x^2; see ``Bending``.
-        amplitude: share of the gait's amplitude; see ``gait.compute_amplitude_rate``.
-        amplitude_goal: commanded share.
-        turn: commanded change of heading, radians.
-        turn_steps: steps over which the turn is spread.
-        turn_clock: steps since the command.
-        load: ``[B, 2]`` external force on the body: weight minus buoyancy, a tether.
-        work: net work of the muscles since reset, rho (nodes / step)^2 nodes^2: sum of F . u_def.
-        positive_work: the same without recovery: negative power at a marker counts as zero.
-        lateral_work: its lateral part, the paper's eqs. 12 and 13 with the sign of work done.
-        torque_work: done by the external torque that sets Omega: sum of torque times Omega; zero
-            for a free body. With ``work`` it is the work on the water, if no external force acts.
-        torque_impulse: sum of the torque on the fluid over all steps.
-        slip_error: largest velocity error at a marker in the last step.
-        force: ``[B, 2]`` force on the fluid in the last step, the fluid inside the body included.
-        hydro_force: ``[B, 2]`` force of the fluid outside on the body in the last step.
-        hydro_torque: torque of the fluid outside on the body in the last step.
-        impulse: ``[B, 2]`` sum of ``hydro_force`` over all steps.
-    """
-
-    position: Tensor
-    heading: Tensor
-    internal_angle: Tensor
-    velocity: Tensor
-    angular_velocity: Tensor
-    phase: Tensor
-    frequency: Tensor
-    beats: Tensor
-    age: Tensor
-    bend: Tensor
-    amplitude: Tensor
-    amplitude_goal: Tensor
-    turn: Tensor
-    turn_steps: Tensor
-    turn_clock: Tensor
-    load: Tensor
+    position: Tensor  #: ``[B, 2]`` centre of mass (x, y)
+    heading: Tensor  #: direction that the nose faces, radians from +x, counter-clockwise
+    internal_angle: Tensor  #: rotation of the momentum-free frame that the beating itself causes
+    velocity: Tensor  #: ``[B, 2]`` of the centre of mass
+    angular_velocity: Tensor  #: Omega, without the beating's own rotation
+    phase: Tensor  #: phase of the body wave or oscillation, radians
+    frequency: Tensor  #: tail beats or oscillations per step; a negative one reverses the wave
+    beats: Tensor  #: tail beats or oscillations since reset
+    age: Tensor  #: steps since reset
+    bend: Tensor  #: kappa of the midline's bend kappa L x^2; see ``Bending``
+    amplitude: Tensor  #: share of the gait's amplitude; see ``gait.compute_amplitude_rate``
+    amplitude_goal: Tensor  #: commanded share
+    turn: Tensor  #: commanded change of heading, radians
+    turn_steps: Tensor  #: steps over which the turn is spread
+    turn_clock: Tensor  #: steps since the command
+    load: Tensor  #: ``[B, 2]`` external force on the body: weight minus buoyancy, a tether
+    #: net work of the muscles since reset, rho (nodes / step)^2 nodes^2: sum of F . u_def
     work: Tensor
-    positive_work: Tensor
-    lateral_work: Tensor
+    positive_work: Tensor  #: the same without recovery: negative power at a marker counts as zero
+    lateral_work: Tensor  #: its lateral part, the paper's eqs. 12 and 13 with the sign of work done
+    #: done by the external torque that sets Omega: sum of torque times Omega; zero for a free body.
+    #: With ``work`` it is the work on the water, if no external force acts
     torque_work: Tensor
-    torque_impulse: Tensor
-    slip_error: Tensor
+    torque_impulse: Tensor  #: sum of the torque on the fluid over all steps
+    slip_error: Tensor  #: largest velocity error at a marker in the last step
+    #: ``[B, 2]`` force on the fluid in the last step, the fluid inside the body included
     force: Tensor
-    hydro_force: Tensor
-    hydro_torque: Tensor
-    impulse: Tensor
+    hydro_force: Tensor  #: ``[B, 2]`` force of the fluid outside on the body in the last step
+    hydro_torque: Tensor  #: torque of the fluid outside on the body in the last step
+    impulse: Tensor  #: ``[B, 2]`` sum of ``hydro_force`` over all steps
 
 
 def make_body(position: Tensor, heading: Tensor, frequency: Tensor) -> BodyState:

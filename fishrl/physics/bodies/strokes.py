@@ -85,23 +85,15 @@ class Strokes(Settings):
 
 
 class Curvature(NamedTuple):
-    """A midline given by its curvature in n strokes, lattice units.
+    """A midline given by its curvature in n strokes, lattice units."""
 
-    Attributes:
-        arc: ``[B, S]`` s / L of the midline points.
-        splines: ``[B, 3, S]`` curvature of unit values at the three control points.
-        start: ``[B, n]`` time at which each stroke begins, in T.
-        duration: ``[B, n]`` of each stroke, in T.
-        change: ``[B, n, 7]`` of the bend's and the wave's three values and of tau in each stroke.
-        phase: ``[B]`` phi.
-    """
-
-    arc: Tensor
-    splines: Tensor
-    start: Tensor
-    duration: Tensor
+    arc: Tensor  #: ``[B, S]`` s / L of the midline points
+    splines: Tensor  #: ``[B, 3, S]`` curvature of unit values at the three control points
+    start: Tensor  #: ``[B, n]`` time at which each stroke begins, in T
+    duration: Tensor  #: ``[B, n]`` of each stroke, in T
+    #: ``[B, n, 7]`` of the bend's and the wave's three values and of tau in each stroke
     change: Tensor
-    phase: Tensor
+    phase: Tensor  #: ``[B]`` phi
 
     def draw(self, body: BodyState, bend_rate: Tensor, step: Tensor) -> Midline:
         """Return the midline; see ``midline.Curve``. ``body.beats`` is t / T."""

@@ -25,19 +25,12 @@ class FlowData(NamedTuple):
 
 
 class GroupMemory(NamedTuple):
-    """A group's own part of the memory: flows that advance together.
+    """A group's own part of the memory: flows that advance together."""
 
-    Attributes:
-        layout: layout of the populations.
-        populations: ``[num_slots]`` as stored.
-        omega: ``[B, 1]``, or ``[B, cells]`` where it differs from node to node.
-        flow: the flows' numbers.
-    """
-
-    layout: InPlaceLayout
-    populations: Tensor
-    omega: Tensor
-    flow: FlowData
+    layout: InPlaceLayout  #: layout of the populations
+    populations: Tensor  #: ``[num_slots]`` as stored
+    omega: Tensor  #: ``[B, 1]``, or ``[B, cells]`` where it differs from node to node
+    flow: FlowData  #: the flows' numbers
 
     def cells(self, parity: int) -> list[Tensor]:
         """Return ``InPlaceLayout.cells`` of the populations."""
