@@ -3,7 +3,7 @@
 The domain is that of the paper, 25 D × 12.5 D (1000 × 500 nodes with D = 40; blockage 8 %), with
 the flat side of the half disc 6.25 D behind the inflow. Streams of 0.1, 0.125 and 0.15 nodes per
 step give Re = 200, 250 and 300 (conditions I, II, III). The flat side faces downstream, and the
-edges make no vorticity (`Boundaries.make_stream`). Markers lie 0.45 nodes inside the outline; the
+edges are those of `Boundaries.make_stream`. Markers lie 0.45 nodes inside the outline; the
 no-slip condition is solved directly. After a perturbation the flow runs for 120 D / U, of which the
 second half is evaluated over whole periods. St = f D / U is that of the lift, from its zero
 crossings and from its spectrum. Variants at D = 20 have sides that move with the stream, open
@@ -82,7 +82,6 @@ def run_half_disc(
         size=(width, height),
         tau=3.0 * (speed * diameter / reynolds) + 0.5,
         speed=speed,
-        inflow=wake.INFLOW,
         outflow=wake.PINNED if is_pinned else wake.OPEN,
         sides=SIDES[sides],
         solve=DirectSolve(),

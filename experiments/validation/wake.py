@@ -16,8 +16,7 @@ from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeF
 STREAM, PINNED = NonEquilibrium(velocity=(1.0, 0.0)), NonEquilibrium(density=1.0)
 EXACT, ITERATIVE = DirectSolve(regularisation=0.0), IterativeForcing()
 OPEN, OPEN_SIDE = OpenEdge(), OpenEdge(is_plane=False)  # let sound out: plane waves, any waves
-# make no vorticity: an inflow, and sides along which the water moves
-INFLOW, SLIDING = NonEquilibrium(velocity=(1.0, None)), NonEquilibrium(velocity=(None, 0.0))
+SLIDING = NonEquilibrium(velocity=(None, 0.0))  # sides along which the water moves
 
 
 def start_flow(

@@ -112,7 +112,9 @@ class NonEquilibrium(Settings, Boundary):
     field, with (0, 0) a wall at rest, with a density an outflow.
 
     Args:
-        velocity: (x, y) in units of the flow's stream speed (1 node per step by default).
+        velocity: (x, y) in units of the flow's stream speed (1 node per step by default). A
+            component that is None is free, its gradient zero: (None, 0.0) is a side of a stream
+            along x that makes no vorticity. An inflow must impose both, or wakes grow unstable.
         density: rho; 1.0 at an outlet fixes the pressure.
         profile: how the velocity varies along the edge.
     """
@@ -254,11 +256,10 @@ class Boundaries(Settings):
     def make_stream(cls) -> "Boundaries":
         """Return the edges of a stream along +x at the flow's ``stream_speed``.
 
-        They make no vorticity: the inflow lets the water move across it and the sides let it move
-        along them, where the bypass of a body is faster than the stream. Vortices and plane sound
-        leave at the outflow.
+        Water moves freely along the sides, which therefore make no vorticity where the bypass of a
+        body is faster than the stream. Vortices and plane sound leave at the outflow.
         """
-        inflow, side = NonEquilibrium(velocity=(1.0, None)), NonEquilibrium(velocity=(None, 0.0))
+        inflow, side = NonEquilibrium(velocity=(1.0, 0.0)), NonEquilibrium(velocity=(None, 0.0))
         return cls(left=inflow, right=OpenEdge(), bottom=side, top=side)
 
     def in_order(self) -> list[list[tuple[Side, Boundary]]]:
