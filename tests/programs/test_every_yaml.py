@@ -37,6 +37,12 @@ MORE = {
     "ppo": ["algorithm.rollout_length=2"],
     "sac": ["task=predation_continuous"],
     "wandb": ["logger.is_offline=true"],
+    # continuous actions
+    "follower": ["algorithm=sac"],
+    "follower_disc": ["algorithm=sac"],
+    "follower_small": ["algorithm=sac"],
+    "karman_gait_continuous": ["algorithm=sac"],
+    "predation_continuous": ["algorithm=sac"],
 }
 
 
@@ -47,7 +53,7 @@ MORE = {
 def test_every_preset_and_task_is_composed_and_its_flow_is_within_the_limits(
     group: str, name: str
 ) -> None:
-    settings = TRAINING.read([f"{group}={name}"])
+    settings = TRAINING.read([f"{group}={name}", *MORE.get(name, [])])
     assert settings.preset == (name if group == "preset" else None)
     settings.task.flow_config()  # refuses what cannot be simulated
 
