@@ -177,7 +177,7 @@ JOBS = [
     Job(
         function,
         {**arguments, "is_turned": is_turned},
-        is_quick=name == "fish: speed" and not is_turned,
+        is_quick=(name, is_turned) == QUICK,
     )
     for name, (function, arguments) in QUANTITIES.items()
     for is_turned in ((False,) if name == "cylinder: force" else (False, True))
