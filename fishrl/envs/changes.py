@@ -88,16 +88,14 @@ class StreamSteps(StreamChanges):
         return speeds.expand(len(key), -1).clone()
 
 
-class StreamSwitches(StreamChanges):
-    """Switches at equal intervals to another of several speeds, each with equal probability.
+class RandomChanges(StreamChanges):
+    """Changes at equal intervals.
 
     Args:
         interval_T: time between two changes, and before the first one.
-        speeds_bl: speeds of the stream, L / T.
     """
 
     interval_T: PositiveFloat = 20.0
-    speeds_bl: Annotated[tuple[PositiveFloat, ...], Field(min_length=2)] = (1.0, 1.25, 1.5)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,6 +104,28 @@ class StreamSwitches(StreamChanges):
                 f"interval_T = {self.interval_T}, ramp_T = {self.ramp_T}: a change must end before "
                 "the next one begins; raise interval_T or lower ramp_T"
             )
+
+    def list_times(self, num: int) -> list[float]:
+        """Return multiples of the interval."""
+        return [self.interval_T * (k + 1) for k in range(num)]
+
+    def draw_chances(self, key: Tensor, duration_T: float) -> Tensor:
+        """Return a number ``[E, K]`` in [0, 1) for each change before the end of the episode."""
+        num = ceil(duration_T / self.interval_T - 1e-9) - 1
+        return draw_uniform(_DRAW, key, torch.zeros_like(key), num)
+
+
+class StreamSwitches(RandomChanges):
+    """Switches to another of several speeds, each with equal probability.
+
+    Args:
+        speeds_bl: speeds of the stream, L / T.
+    """
+
+    speeds_bl: Annotated[tuple[PositiveFloat, ...], Field(min_length=2)] = (1.0, 1.25, 1.5)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if len(set(self.speeds_bl)) < len(self.speeds_bl):
             raise ValueError(f"speeds_bl = {self.speeds_bl}: must differ from each other")
 
@@ -114,15 +134,10 @@ class StreamSwitches(StreamChanges):
         """Slowest and fastest of the speeds."""
         return min(self.speeds_bl), max(self.speeds_bl)
 
-    def list_times(self, num: int) -> list[float]:
-        """Return multiples of the interval."""
-        return [self.interval_T * (k + 1) for k in range(num)]
-
     def draw_speeds(self, first: Tensor, key: Tensor, duration_T: float) -> Tensor:
         """Draw each speed from those that differ from the speed before."""
         speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=key.device)
-        num = ceil(duration_T / self.interval_T - 1e-9) - 1
-        chances = draw_uniform(_DRAW, key, torch.zeros_like(key), num)
+        chances = self.draw_chances(key, duration_T)
         drawn, now = [], first.double()
         for chance in chances.unbind(-1):
             is_other = speeds != now[:, None]
@@ -131,3 +146,42 @@ class StreamSwitches(StreamChanges):
             now = speeds[chosen.int().argmax(-1)]
             drawn.append(now)
         return torch.stack(drawn, -1) if drawn else chances
+
+
+class StreamWalk(RandomChanges):
+    """A random walk: each change is drawn uniformly, and reflected at the limits.
+
+    Args:
+        step_bl: largest change, L / T.
+        low_bl: slowest speed, L / T.
+        high_bl: fastest speed, L / T.
+    """
+
+    interval_T: float = 2.0
+    step_bl: PositiveFloat = 0.2
+    low_bl: PositiveFloat = 0.9
+    high_bl: PositiveFloat = 1.6
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.step_bl <= self.high_bl - self.low_bl:
+            raise ValueError(
+                f"low_bl = {self.low_bl}, high_bl = {self.high_bl}, step_bl = {self.step_bl}: "
+                "high_bl must exceed low_bl by at least step_bl"
+            )
+
+    @property
+    def range_bl(self) -> tuple[float, float]:
+        """The limits."""
+        return self.low_bl, self.high_bl
+
+    def draw_speeds(self, first: Tensor, key: Tensor, duration_T: float) -> Tensor:
+        """Draw the walk; a start beyond the limits is moved to the nearer one first."""
+        changes = self.step_bl * (2.0 * self.draw_chances(key, duration_T) - 1.0)
+        drawn, now = [], first.double().clamp(self.low_bl, self.high_bl)
+        for change in changes.unbind(-1):
+            now = now + change
+            now = torch.where(now > self.high_bl, 2.0 * self.high_bl - now, now)
+            now = torch.where(now < self.low_bl, 2.0 * self.low_bl - now, now)
+            drawn.append(now)
+        return torch.stack(drawn, -1) if drawn else changes

@@ -150,8 +150,9 @@ class OpenEdge(Settings, Boundary):
     Thompson 1987). Between an inlet of fixed velocity and an outflow of fixed density, sound is
     reflected back and forth as in an organ pipe and shakes bodies.
 
-    Vortices leave with the stream: deviations of density and velocity from their means along the
-    edge obey d/dt + U d/dn = 0 (implicit, upwind), U being the stream's outward velocity.
+    Vortices leave with the stream: density and velocity obey d/dt + U d/dn = 0 (implicit, upwind),
+    U being the stream's outward velocity, but for their means along the edge, which are those of
+    the wave and of the neighbour's velocity.
 
     Args:
         is_plane: apply the wave condition to means along the edge, which vortices that leave do not
@@ -176,21 +177,17 @@ class OpenEdge(Settings, Boundary):
         wave = 0.5 * (drho - inward * 3.0**0.5)
         if not self.is_plane:
             return _extrapolate(neighbour, fluid, Macroscopic(wave, ux, uy))
-        mean = Macroscopic(_average(wave), _average(ux), _average(uy))
-        share = -(nx * self.velocity[0] + ny * self.velocity[1]) * stream
+        outward = -(nx * self.velocity[0] + ny * self.velocity[1])
         own = compute_macroscopic(outgoing)  # collision has kept density and momentum
         target = []
-        for average, arriving, before in zip(mean, fluid, own, strict=True):
-            excess = arriving - _average(arriving)
-            if nx * self.velocity[0] + ny * self.velocity[1] < 0.0:
-                excess = (before - _average(before) + share * excess) / (1.0 + share)
-            target.append(average + excess)
+        for plane, arriving, before in zip((wave, ux, uy), fluid, own, strict=True):
+            carried = arriving
+            if outward > 0.0:
+                share = outward * stream
+                carried = (before + share * arriving) / (1.0 + share)
+            excess = (plane - carried)[:, 1:-1]  # nodes at the ends may not be complete yet
+            target.append(carried + excess.mean(-1, keepdim=True))
         return _extrapolate(neighbour, fluid, Macroscopic(*target))
-
-
-def _average(values: Tensor) -> Tensor:
-    """Return the mean along an edge ``[B, 1]``; nodes at its ends may not be complete yet."""
-    return values[:, 1:-1].mean(-1, keepdim=True)
 
 
 class NoSlip(Settings, Boundary):

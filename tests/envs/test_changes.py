@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from fishrl.envs import KarmanGait
-from fishrl.envs.changes import StreamChanges, StreamSteps, StreamSwitches
+from fishrl.envs.changes import StreamChanges, StreamSteps, StreamSwitches, StreamWalk
 from fishrl.envs.streams import Stream
 from tests.envs.conftest import SMALL, act, make_flows, read_flows
 from tests.envs.test_real_wake import STREAM, TINY, task  # noqa: F401 - a fixture
@@ -32,6 +32,17 @@ def test_switches_are_uniform_over_the_other_speeds() -> None:
     assert torch.equal(switches.draw_speeds(FIRST[7:8], KEYS[7:8], 9.0), speeds[7:8])
 
 
+def test_walk_stays_within_its_limits_and_step() -> None:
+    walk = StreamWalk(interval_T=1.0, step_bl=0.3)
+    path = torch.cat((FIRST[:, None], walk.draw_speeds(FIRST, KEYS, 51.0)), 1)
+    assert path.shape == (500, 51)
+    assert 0.9 <= path.min() < 0.91 and 1.59 < path.max() <= 1.6
+    steps = path.diff(dim=1).abs()
+    assert 0.29 < steps.max() <= 0.3
+    is_inside = ((path - 1.25).abs() < 0.05)[:, :-1]  # where no limit can be reached
+    assert steps[is_inside].mean() == pytest.approx(0.15, abs=0.01)
+
+
 def test_steps_are_the_same_in_every_episode() -> None:
     steps = StreamSteps(times_T=(3.0, 5.0), speeds_bl=(1.5, 0.9), ramp_T=2.0)
     assert steps.draw_speeds(FIRST[:3], KEYS[:3], 1.0).tolist() == [[1.5, 0.9]] * 3
@@ -46,10 +57,8 @@ def test_steps_are_the_same_in_every_episode() -> None:
         (lambda: StreamSteps(times_T=(3.0,), speeds_bl=(1.0, 1.5)), "one speed for each time"),
         (lambda: StreamSwitches(interval_T=0.5), "must end before the next"),
         (lambda: StreamSwitches(speeds_bl=(1.0, 1.0)), "must differ"),
-        (
-            lambda: make_task(StreamSwitches(speeds_bl=(1.0, 3.0))),
-            r"to 3 L/T: allowed .* up to 2\.\d+ L/T",
-        ),
+        (lambda: StreamWalk(low_bl=1.5, high_bl=1.0), "high_bl must exceed low_bl"),
+        (lambda: make_task(StreamWalk(high_bl=3.0)), r"to 3 L/T: allowed .* up to 2\.\d+ L/T"),
     ],
 )
 def test_invalid_settings_are_refused(make: Any, message: str) -> None:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from fishrl.envs import Predation
+from fishrl.envs import FlowEnv, Predation
 from fishrl.training import (
     Algorithm,
     Callback,
     DiscreteSAC,
     LearningSettings,
     RunSettings,
+    begin,
     complete,
     evaluate,
     resume,
@@ -53,6 +55,27 @@ def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path
         train(task=Predation(**SMALL), total_frames=48)
     with pytest.raises(TypeError, match="'episode'"):
         evaluate(tmp_path / "first", episode=3)
+
+
+def test_run_in_a_real_flow_stopped_amid_episodes_continues_exactly(tmp_path: Path) -> None:
+    few = {"total_frames": 16, "warmup_frames": 4, "buffer_size": 8, "log_frames": 2}
+    few |= {"checkpoint_frames": 2, "eval_frames": 8, "num_envs": 2, "batch_size": 4}
+    task = Predation(**SMALL, control_interval_T=0.25, checks_per_action=6)
+
+    def start(name: str) -> Training:
+        plan = make_toy_plan(tmp_path, name=name, **QUICK | few | {"eval_episodes": 1})
+        return begin(replace(plan, task=task))
+
+    whole, part = start("whole"), start("part")
+    whole.run()
+    run_and_stop(part, FlowEnv, step=5)
+    assert (part.collector.env.base_env.solver.body.age > 0).all()
+    part.close()
+    resumed = start("part")
+    assert resumed.counters.frames == 10
+    resumed.run()
+    assert read_rows(tmp_path / "part") == read_rows(tmp_path / "whole")
+    assert_equal_weights(resumed, whole)
 
 
 def test_run_resumed_after_sigkill_equals_an_uninterrupted_run(toy: Toy, whole: Training) -> None:
