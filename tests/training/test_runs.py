@@ -66,8 +66,9 @@ def test_run_in_a_real_flow_stopped_amid_episodes_continues_exactly(tmp_path: Pa
         plan = make_toy_plan(tmp_path, name=name, **QUICK | few | {"eval_episodes": 1})
         return begin(replace(plan, task=task))
 
-    whole, part = start("whole"), start("part")
+    whole = start("whole")
     whole.run()
+    part = start("part")
     run_and_stop(part, FlowEnv, step=5)
     assert (part.collector.env.base_env.solver.body.age > 0).all()
     part.close()
