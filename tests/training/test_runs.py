@@ -60,7 +60,7 @@ def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path
 def test_run_in_a_real_flow_stopped_amid_episodes_continues_exactly(tmp_path: Path) -> None:
     few = {"total_frames": 16, "warmup_frames": 4, "buffer_size": 8, "log_frames": 2}
     few |= {"checkpoint_frames": 2, "eval_frames": 8, "num_envs": 2, "batch_size": 4}
-    task = Predation(**SMALL, control_interval_T=0.25, checks_per_action=6)
+    task = Predation(**SMALL, control_interval_T=0.25, checks_per_action=6, time_limit=6)
 
     def start(name: str) -> Training:
         plan = make_toy_plan(tmp_path, name=name, **QUICK | few | {"eval_episodes": 1})
