@@ -36,8 +36,9 @@ BODY_SETTINGS: dict[str, dict[str, object]] = {
     # The part is small and scatters: one thread, and weights are kept, not computed again for every
     # pair of markers (six times slower at L = 100).
     "cpu": {"cpp.threads": 1, "realize_opcount_threshold": 10},
-    # On a GPU launches count: Inductor puts kernels that do not depend on each other into one.
-    "cuda": {"combo_kernels": True},
+    # On a GPU launches count: Inductor puts kernels that do not depend on each other into one. Sums
+    # over markers loop, since registers would not hold all terms.
+    "cuda": {"combo_kernels": True, "triton.persistent_reductions": False},
 }
 
 

@@ -45,9 +45,7 @@ CASES = {
     ),
 }
 #: Kernels of one step, launched one after the other.
-MOST_LAUNCHES = {"free fish": 24, "cylinder": 20, "gait with disc": 26}
-#: Bytes that a kernel may spill: sums over a cylinder's markers and means along an open edge.
-MOST_SPILLED = {("sm_80", "cylinder"): 2424, ("sm_90", "cylinder"): 2424}
+MOST_LAUNCHES = {"free fish": 20, "cylinder": 16, "gait with disc": 23}
 LONG = [pytest.mark.slow] if IS_PRETENDED else []
 REPLAY = Stepper._replay_  # recorded here, and nowhere else on the pretended device
 
@@ -138,9 +136,7 @@ print(json.dumps(triton_host.USAGE))
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_kernels_for_sm_80_and_sm_90_spill_no_more_registers_than_known(
-    name: str, cache: Path
-) -> None:
+def test_kernels_for_sm_80_and_sm_90_spill_no_registers(name: str, cache: Path) -> None:
     """In one at least of the configurations among which Inductor chooses by time."""
     root = Path(__file__).parents[3]
     done = subprocess.run(
@@ -162,4 +158,4 @@ def test_kernels_for_sm_80_and_sm_90_spill_no_more_registers_than_known(
         found = [re.findall(r"(\d+) bytes spill stores", log) for log in said]
         assert all(found), said
         spilled = [sum(map(int, functions)) for functions in found]
-        assert min(spilled) <= MOST_SPILLED.get((kernel[:5], name), 0), f"{kernel}: {said}"
+        assert min(spilled) == 0, f"{kernel}: {said}"
