@@ -38,7 +38,8 @@ class Stream(Settings):
             for steady streams.
         has_disc: include the half disc; positions refer to its location in a free stream too.
         diameter_bl: D of the half disc, body lengths, one for all streams or one for each. Discs of
-            different D have as many markers as the largest, on which they lie a node apart.
+            different D have as many markers as the largest, on which they lie half a node apart, or
+            a node with the immersed boundary.
         face_bl: distance of its flat side from the inflow.
         num_phases: wake snapshots per shedding period from which episodes start.
         num_travels: development time of a wake, D / U; see ``wakes.WakeRecipe``.
@@ -234,6 +235,7 @@ class AbstractStreamTask(AbstractTask):
         solver.reset_(rows, position, heading, velocity=(1.0, 0.0))
         if self.wakes is not None:
             solver.set_populations_(self.wakes.take(flow[rows], starts["wake_phase"][rows]), rows)
+            solver.join_stream_(rows)
 
     def prepare_(self, solver: InPlaceSolver, starts: TensorDictBase) -> None:
         """Begin the changes of the stream that fell due within the last action."""

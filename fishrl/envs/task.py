@@ -53,8 +53,9 @@ class AbstractTask(Settings, ABC):
         body_length: L in nodes; at Reynolds number 7000 at least 50 for a useful swimming speed.
         reynolds: Re_f = L^2 / (T nu).
         max_wall_speed: largest speed of the beating tail, nodes per step; sets the period T.
-        coupling: how fish and water act on each other: ``implicit`` or ``explicit``, the immersed
-            boundary, or ``bounce-back``, a sharp skin; see ``Coupling`` and the page on resolution.
+        coupling: how fish and water act on each other: ``bounce-back``, a sharp skin, or the
+            immersed boundary, ``implicit`` or, as in the paper, ``explicit``; see ``Coupling`` and
+            the page on resolution.
         domain_bl: width and height of the domain in body lengths.
         wall_margin_bl: smallest distance of a marker from the edge, in body lengths.
         num_stacked: stacked observations, the current one included.
@@ -66,7 +67,7 @@ class AbstractTask(Settings, ABC):
     body_length: Annotated[int, Field(ge=16, le=100_000)] = 50
     reynolds: PositiveFloat = 7000.0
     max_wall_speed: PositiveFloat = DEFAULT_WALL_SPEED
-    coupling: Coupling = Coupling.IMPLICIT
+    coupling: Coupling = Coupling.BOUNCE_BACK
     domain_bl: tuple[_Size, _Size] = (10.0, 5.0)
     wall_margin_bl: Annotated[float, Field(ge=0, le=1e6)] = 0.1
     num_stacked: Annotated[int, Field(ge=1, le=10_000)] = 4
@@ -162,7 +163,7 @@ class AbstractTask(Settings, ABC):
 
     @cached_property
     def fish(self) -> Fish:
-        """Configuration of the fish."""
+        """Configuration of the fish; another one needs the same ``body_settings``."""
         return Fish(body_length=self.body_length, **self.coupling.body_settings)
 
     @property

@@ -17,7 +17,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointA
 
 from fishrl.training.policy_spec import CHECKED, PolicySpec
 from fishrl.training.policy_zoo import find_folder
-from fishrl.training.run_folder import refuse_many
+from fishrl.training.run_folder import name_coupling, refuse_many
 
 SUMS = "SHA256SUMS"
 #: Exceptions that reading a damaged checkpoint may raise.
@@ -106,7 +106,7 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
         _check_files(found, ["manifest.json"])
     except (*_DAMAGE, AttributeError) as error:
         raise _corrupt(found, error) from error
-    return found, metadata
+    return found, {**metadata, "config": name_coupling(metadata["config"])}
 
 
 def load_checkpoint(

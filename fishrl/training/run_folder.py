@@ -143,7 +143,18 @@ def read_config(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: not the configuration of a run ({reason})") from error
     if not isinstance(config, dict):
         raise ValueError(f"{path}: not the configuration of a run")
-    return config
+    return name_coupling(config)
+
+
+def name_coupling(config: dict[str, Any]) -> dict[str, Any]:
+    """Return stored settings with the immersed boundary in a task that names no coupling.
+
+    It was the only one of tasks before they had the setting, and not the default since.
+    """
+    task = config.get("task")
+    if not isinstance(task, dict) or "coupling" in task:
+        return config
+    return {**config, "task": {**task, "coupling": "IMPLICIT"}}
 
 
 def read_summary(path: Path) -> dict[str, Any]:

@@ -76,7 +76,7 @@ def test_success_entry_may_be_a_column() -> None:
 class _WideBeats(Predation):
     @cached_property
     def fish(self) -> Fish:
-        return Fish(body_length=self.body_length, gait=replace(CARLING, amplitude=0.2))
+        return replace(super().fish, gait=replace(CARLING, amplitude=0.2))
 
 
 def test_period_follows_the_tail_speed_of_the_tasks_fish() -> None:

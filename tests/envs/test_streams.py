@@ -78,7 +78,7 @@ def test_flow_index_is_the_nearest_speed_behind_the_same_disc() -> None:
         ({"diameter_bl": (0.4, 0.5)}, r"= \(0.4, 0.5\): 2 for 3 entries of speeds_bl; give one"),
         ({"diameter_bl": ()}, "0 for 3 entries"),
         ({"diameter_bl": (0.4, 0.4, 0.3)}, "diameter = 6.0: must be greater than"),  # in nodes
-        ({"diameter_bl": (0.4, 0.4, 1.2)}, r"DCylinder .*: they would lie 0.33 nodes apart"),
+        ({"diameter_bl": (0.4, 0.4, 2.15)}, r"DCylinder .*: they would lie 0.09 nodes apart"),
         # the largest lies beyond the inflow
         ({"face_bl": 0.3, "diameter_bl": (0.4, 0.6, 0.4)}, "the half disc exceeds the domain"),
     ],
@@ -90,7 +90,7 @@ def test_invalid_discs_are_refused(settings: dict[str, Any], message: str) -> No
 
 def test_start_inside_a_disc_is_refused() -> None:
     area = SafeArea(near_bl=-0.2, far_bl=1.5, aside_bl=0.5)
-    start = {"start_x_bl": (-0.05, -0.05), "start_y_bl": (0.28, 0.28), "safe_area": area}
+    start = {"start_x_bl": (-0.05, -0.05), "start_y_bl": (0.3, 0.3), "safe_area": area}
     stream = Stream(diameter_bl=(0.4, 0.6, 0.4), face_bl=1.0)
     tasks = [KarmanGait(**TINY | start, stream=stream, start_flows=(flow,)) for flow in (0, 1)]
     for task in tasks:

@@ -13,6 +13,7 @@ import pytest
 from experiments import paper, reproduce
 from experiments.reproduce import Job, Record, list_jobs, run_job
 from fishrl.__main__ import list_programs
+from fishrl.physics.flow import Coupling
 from fishrl.programs.sweeps.jobs import find_runs, plan_jobs
 from fishrl.training.run_folder import write_json
 from fishrl.training.runs import make_folder
@@ -28,10 +29,13 @@ def test_every_job_of_a_scale_is_a_command_that_its_program_takes(
     for job in jobs:
         program, *words = job.words
         if words[0] == "--multirun":
-            assert len(plan_jobs(words[1:])) == len(scale.seeds)
+            plans = [job.settings for job in plan_jobs(words[1:])]
+            assert len(plans) == len(scale.seeds)
         else:
             package = "fishrl.programs" if program in list_programs() else "experiments"
-            import_module(f"{package}.{program.replace('-', '_')}").main.read(words)
+            plans = [import_module(f"{package}.{program.replace('-', '_')}").main.read(words)]
+        if program in ("train", "train-lateral-line"):  # the paper's method
+            assert {plan.task.coupling for plan in plans} == {Coupling.IMPLICIT}
 
 
 def list_by_name(folder: Path, *settings: str) -> dict[str, Job]:

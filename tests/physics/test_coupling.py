@@ -134,3 +134,21 @@ def test_place_work_and_populations_can_be_differentiated(coupling: Coupling) ->
         rise = (swim(*(at + shift), coupling) - swim(*(at - shift), coupling)) / 2e-5
         assert (rise.abs() > 1e-6).all()
         torch.testing.assert_close(column, rise, rtol=1e-5, atol=0)
+
+
+@pytest.mark.parametrize("coupling", [Coupling.IMPLICIT, Coupling.BOUNCE_BACK])
+def test_a_fish_that_does_not_beat_drifts_with_the_stream_from_the_first_step(
+    coupling: Coupling,
+) -> None:
+    """In single precision."""
+    fish = Fish(body_length=24, motion=Commanded(), **coupling.body_settings)
+    config = FlowConfig(
+        width=60, height=60, tau=0.6, bodies=(fish,), stream_speed=0.05, boundaries=PERIODIC
+    )
+    config = replace(config, coupling=coupling)
+    solver = start_solver(config, CENTRE, 0.7 * ONE, velocity=(1.0, -0.4))
+    for steps in (2, 40):
+        solver.advance_(steps)
+        drift = (solver.body.position - CENTRE)[0] / solver.body.age
+        assert drift.tolist() == pytest.approx([0.05, -0.02], abs=1e-6)
+    assert float(solver.body.hydro_force.abs().max()) < 1e-5

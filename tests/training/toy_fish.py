@@ -28,6 +28,7 @@ from torchrl.envs import (
 )
 
 from fishrl.envs import AbstractTask, Predation, make_env
+from fishrl.physics.flow import Coupling
 
 STATE = ("position", "heading", "food", "direction", "age", "distance", "error", "start_index")
 
@@ -49,6 +50,7 @@ class ToyPredation:
     divergence_rate: float = 0.0
     banned_action: int = -1
     is_continuous: bool = False
+    coupling: Coupling = Coupling.BOUNCE_BACK
 
     @property
     def num_actions(self) -> int:

@@ -16,6 +16,7 @@ from fishrl.physics.fast.checks import check_tensor, read_frequency
 from fishrl.physics.fast.execution import Execution
 from fishrl.physics.fast.part import Part
 from fishrl.physics.flow import (
+    Coupling,
     FlowConfig,
     change_stream_speed,
     compute_stream_speed,
@@ -146,10 +147,11 @@ class InPlaceSolver:
         *,
         velocity: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Restart the flows in ``rows`` ``[B]`` bool: bodies at rest in a uniform stream.
+        """Restart the flows in ``rows`` ``[B]`` bool: bodies in a uniform stream.
 
-        Their commands, loads, totals and clock start from zero, and the stream has the speed last
-        set, to which it rises from rest if ``ramp_steps`` says so; other parameters and flows stay.
+        Bodies are at rest, but see ``join_stream_``. Their commands, loads, totals and clock start
+        from zero, and the stream has the speed last set, to which it rises from rest if
+        ``ramp_steps`` says so; other parameters and flows stay.
 
         Args:
             rows: flows to restart.
@@ -192,6 +194,21 @@ class InPlaceSolver:
             own = self._batch.rows_of(number)
             if self._group_size > 1 or rows[own].item():
                 group.fill_(rows[own], [value[own] for value in f])
+        self.join_stream_(rows)
+
+    def join_stream_(self, rows: Tensor) -> None:
+        """Give bodies that the flow moves, in ``rows`` ``[B]``, the mean velocity of their water.
+
+        It is the water at their markers. With ``Coupling.IMPLICIT`` nothing changes: there a body
+        as light as water follows it from the first step, whatever its velocity.
+        """
+        if self.config.coupling is Coupling.IMPLICIT:
+            return
+        for index, (body, state) in enumerate(zip(self.config.bodies, self.bodies, strict=True)):
+            water = self.sample(self.markers(index))[1].mean(1)
+            for axis in {0, 1} & set(body.motion.free_axes):
+                own = state.velocity[:, axis]
+                own.copy_(torch.where(rows, water[:, axis], own))
 
     @property
     def stream_speed(self) -> Tensor:
