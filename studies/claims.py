@@ -142,3 +142,13 @@ def check_steering() -> None:
     content = (STUDIES.parent / "fishrl" / "envs" / "steering.pt").read_bytes()
     page = (STUDIES / "steering" / "README.md").read_text(encoding="utf-8")
     assert sha256(content).hexdigest() in page
+
+
+def check_sharp_skin() -> None:
+    """No collision changes the speed by 2 %; in a stream central moments keep the viscosity."""
+    own, *others = read_data("sharp_skin", "collision")
+    for name in ("speed, L = 32", "speed, L = 50"):
+        assert all(isclose(float(row[name]), float(own[name]), rel_tol=0.02) for row in others)
+    for row in read_data("sharp_skin", "viscosity"):
+        change = float(row["0.1"]) - float(row["frame 0"])
+        assert (abs(change) < 0.2) == row["collision"].startswith("central")
