@@ -219,7 +219,8 @@ def plain_errors() -> Iterator[None]:
     except (ValueError, ImportError, OSError) as error:
         if os.environ.get("FISHRL_DEBUG"):
             raise
-        sys.exit(f"error: {error}{_find_line(error)}")
+        said = f"error: {error}{_find_line(error)}"
+        sys.exit("\n".join([said, *getattr(error, "__notes__", ())]))
     except KeyboardInterrupt as end:
         print("interrupted", file=sys.stderr)
         sys.exit(exit_status(end))

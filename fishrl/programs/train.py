@@ -105,6 +105,7 @@ def main(settings: TrainConfig) -> None:
         except KeyboardInterrupt as end:
             print(f"interrupted; {hint}", file=sys.stderr)
             sys.exit(exit_status(end))
-        except OSError as error:
-            sys.exit(f"error: {error}\n{hint}")
+        except (OSError, ValueError) as error:
+            error.add_note(hint)
+            raise
     report(summary, folder=folder, modules=show_modules(settings.modules))

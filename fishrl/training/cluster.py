@@ -30,16 +30,18 @@ logger = logging.getLogger(__name__)
 
 #: Between the seeds of two collectors, so that no other run's lie between them.
 SEED_STRIDE = 1_000_000
+#: Between looks at the size of the cluster, while collectors start.
+CHECK_SECONDS = 5.0
 
 
 class ClusterCollector:
-    """Collects in processes of a Ray cluster; evaluations run in this process.
+    """Collects in processes of a Ray cluster; evaluations borrow the env of a local collector.
 
     It joins the cluster that ``RAY_ADDRESS`` names, or starts one on this machine.
 
     Args:
         collector_class: class of the collector in each process.
-        env: environment of this process, for evaluations.
+        local: collector of this process, which collects nothing.
         make_env: makes the env of a collector from ``num_envs`` and ``seed``; picklable.
         explorer: the policy that collects.
         settings: numbers of processes, of flows and of warm-up frames of all of them together.
@@ -54,14 +56,15 @@ class ClusterCollector:
         self,
         collector_class: type[Collector],
         *,
-        env: EnvBase,
+        local: Any,
         make_env: Callable[..., EnvBase],
         explorer: TensorDictModuleBase,
         settings: LearningSettings,
         seed: int,
         device: str = "cpu",
     ) -> None:
-        self.env, self._explorer, self._frames, self._device = env, explorer, 0, device
+        self._local, self.env, self.lend_env = local, local.env, local.lend_env
+        self._explorer, self._frames, self._device = explorer, 0, device
         num_collectors, num_envs = settings.ray_collectors, settings.num_envs
         self._warmup_frames = -(-settings.warmup_frames // num_envs) * num_envs  # whole batches
         num_gpus = int(device == "cuda")
@@ -80,6 +83,8 @@ class ClusterCollector:
             storing_device="cpu",  # between machines
             remote_configs={"num_cpus": 1, "num_gpus": num_gpus, "scheduling_strategy": "SPREAD"},
         )
+        with noticing_losses():
+            self._await_flows(num_gpus=num_gpus * num_collectors)
 
     def __iter__(self) -> Iterator[TensorDictBase]:
         """Collect batches ``[num_collectors, flows of each, 1]``, one decision of every flow."""
@@ -95,6 +100,19 @@ class ClusterCollector:
             owner = torch.arange(num, device=ids.device).view(num, *[1] * (ids.ndim - 1))
             batch["collector", "traj_ids"] = ids * num + owner  # no two episodes share one
             yield batch
+
+    def _await_flows(self, *, num_gpus: int) -> None:
+        """Wait until all flows are made; meanwhile a machine may be found to be lost."""
+        import ray
+
+        remote = self._flows.remote_collectors
+        answers = waiting = [
+            collector.get_distant_attr.remote("frames_per_batch") for collector in remote
+        ]
+        while waiting:
+            check_size(len(remote), num_gpus=num_gpus)
+            _, waiting = ray.wait(waiting, num_returns=len(waiting), timeout=CHECK_SECONDS)
+        ray.get(answers)
 
     def _send_weights(self) -> None:
         """Send the current weights to all collectors, through Ray.
@@ -113,11 +131,6 @@ class ClusterCollector:
             if isinstance(module, EGreedyModule):
                 module.step(num_decisions)
 
-    @contextmanager
-    def lend_env(self) -> Iterator[EnvBase]:
-        """Lend the env of this process."""
-        yield self.env
-
     def state_dict(self) -> dict[str, Any]:
         """Return everything the next batch depends on, from all machines."""
         state = {"frames": self._frames, "explorer": self._explorer.state_dict()}
@@ -132,7 +145,7 @@ class ClusterCollector:
 
     def shutdown(self) -> None:
         """End all flows, and the cluster if it was started here."""
-        self.env.close()
+        self._local.shutdown()
         self._flows.shutdown(shutdown_ray=self._has_joined)
 
 
@@ -154,7 +167,7 @@ def join_cluster(num_collectors: int, *, num_gpus: int = 0) -> bool:
         Whether this process was not connected before.
 
     Raises:
-        ValueError: if the cluster has fewer CPUs than ``num_collectors``, or GPUs than needed.
+        ValueError: see ``check_size``.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # report nothing to anybody
     import ray
@@ -164,6 +177,16 @@ def join_cluster(num_collectors: int, *, num_gpus: int = 0) -> bool:
         local = {"address": "local", "num_cpus": num_collectors, "include_dashboard": False}
         given: dict[str, Any] = {} if "RAY_ADDRESS" in os.environ else local
         ray.init(log_to_driver=False, logging_level=logging.WARNING, **given)
+    check_size(num_collectors, num_gpus=num_gpus)
+    num_cpus = ray.cluster_resources()["CPU"]
+    logger.info("%d collectors on a cluster of %d CPUs", num_collectors, num_cpus)
+    return is_new
+
+
+def check_size(num_collectors: int, *, num_gpus: int) -> None:
+    """Raise ValueError if the cluster has fewer CPUs or GPUs than that many collectors take."""
+    import ray
+
     resources = ray.cluster_resources()
     for kind, needed in {"CPU": num_collectors, "GPU": num_gpus}.items():
         there = int(resources.get(kind, 0))
@@ -172,8 +195,6 @@ def join_cluster(num_collectors: int, *, num_gpus: int = 0) -> bool:
                 f"ray_collectors={num_collectors}: the cluster has {there} {kind}s, and each takes "
                 "one; take fewer, or add machines with `ray start --address=...`"
             )
-    logger.info("%d collectors on a cluster of %d CPUs", num_collectors, resources["CPU"])
-    return is_new
 
 
 def _make_seeded(make_env: Callable[..., EnvBase], *, num_envs: int, seed: int) -> EnvBase:

@@ -90,21 +90,22 @@ def make_collector(resolved: ResolvedRun, learner: Learner, *, seed: int) -> Any
     make_flows = partial(_extend, resolved.make_flows, learner.transforms)
     env = make_flows(num_envs=plan.num_envs, seed=seed)
     actor_device = plan.learner_device and next(learner.actor.parameters()).device
+    local = ResumableCollector(
+        env,
+        deepcopy(explorer) if plan.ray_collectors else explorer,  # a first decision here counts
+        frames_per_batch=plan.num_envs,
+        total_frames=-1,
+        init_random_frames=plan.warmup_frames,
+        policy_device=actor_device,
+        storing_device=plan.policy_device,  # trajectory ids too, which DRQN's sampler reads
+    )
     if not plan.ray_collectors:
-        return ResumableCollector(
-            env,
-            explorer,
-            frames_per_batch=plan.num_envs,
-            total_frames=-1,
-            init_random_frames=plan.warmup_frames,
-            policy_device=actor_device,
-            storing_device=plan.policy_device,  # trajectory ids too, which DRQN's sampler reads
-        )
+        return local
     from fishrl.training.cluster import ClusterCollector
 
     return ClusterCollector(
         RemoteCollector,
-        env=env,
+        local=local,
         make_env=make_flows,
         explorer=explorer,
         settings=plan,

@@ -1,4 +1,4 @@
-"""Flows that advance in the processes of a Ray cluster, here one of this machine."""
+"""Flows that advance in the processes of a Ray cluster, whose machines this one plays."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from fishrl.envs import PredationPair, make_env
 from fishrl.training import begin, complete
 from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.cluster import ClusterCollector
+from fishrl.training.loop import Training
 from tests.envs.conftest import SMALL, move_kinematically
-from tests.training.conftest import Toy, make_toy_plan
+from tests.training.conftest import Toy, make_toy_plan, read_rows
 
 
 def test_invalid_numbers_of_collectors_are_refused(
@@ -33,33 +34,80 @@ def test_invalid_numbers_of_collectors_are_refused(
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[None]:
-    ray = pytest.importorskip("ray", reason="pip install 'fishrl[cluster]'")
+def cluster() -> Iterator[Any]:
+    """Two machines with a CPU each, played by this one."""
+    import ray
+    from ray.cluster_utils import Cluster
+
     from fishrl.training.cluster import join_cluster
 
-    assert join_cluster(2)
-    assert not join_cluster(2)
-    yield
+    machines = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    machines.add_node(num_cpus=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_ADDRESS", machines.address)
+        assert join_cluster(2)
+        assert not join_cluster(2)
+        yield machines
     ray.shutdown()
+    machines.shutdown()
+
+
+#: Whose evaluations draw random numbers, too.
+SHARED: dict[str, Any] = {
+    "ray_collectors": 2,
+    "algorithm": DQN(epsilon_frames=100),
+    "task": {"divergence_rate": 0.05, "banned_action": 2},
+    "baselines": (),
+}
+
+
+@pytest.fixture(scope="module")
+def undisturbed(cluster: Any, tmp_path_factory: pytest.TempPathFactory) -> Training:
+    """Return a finished training that nothing has interrupted."""
+    training = Toy(tmp_path_factory.mktemp("whole")).begin(name="whole", **SHARED)
+    complete(training)
+    return training
 
 
 @pytest.mark.cluster
-@pytest.mark.usefixtures("cluster")
-def test_cluster_run_resumes_exactly(toy: Toy) -> None:
-    shared: dict[str, Any] = {
-        "ray_collectors": 2,
-        "algorithm": DQN(epsilon_frames=100),
-        "task": {"divergence_rate": 0.05, "banned_action": 2},
-    }
-    whole = toy.begin(name="whole", **shared)
-    complete(whole)
-    counters, buffer = whole.counters, whole.learner.buffer
+def test_cluster_run_resumes_exactly(toy: Toy, undisturbed: Training) -> None:
+    counters, buffer = undisturbed.counters, undisturbed.learner.buffer
     assert counters.diverged > 0
     assert len(buffer) == counters.frames - counters.diverged == 240 - counters.diverged
     assert set(buffer[:]["action"].tolist()) == {0, 1}
-    complete(toy.begin(name="parts", total_frames=120, **shared))
+    complete(toy.begin(name="parts", total_frames=120, **SHARED))
     complete(toy.reopen("parts", total_frames=240))
-    assert toy.rows("parts") == toy.rows("whole")
+    assert toy.rows("parts") == read_rows(undisturbed.folder.path)
+
+
+@pytest.mark.cluster
+def test_run_continues_exactly_after_a_lost_collector_and_a_lost_machine(
+    toy: Toy, cluster: Any, undisturbed: Training, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import ray
+
+    send, batches = ClusterCollector._send_weights, itertools.count()
+
+    def send_and_lose(self: ClusterCollector) -> None:
+        number = next(batches)
+        if number == 15:
+            ray.kill(self._flows.remote_collectors[0])
+        elif number == 15 + 1 + 15:  # of 10 since the last checkpoint
+            cluster.remove_node(cluster.list_all_nodes()[-1], allow_graceful=False)
+            cluster.wait_for_nodes()
+        send(self)
+
+    monkeypatch.setattr(ClusterCollector, "_send_weights", send_and_lose)
+    training = toy.begin(name="run", **SHARED)
+    with pytest.raises(ValueError, match="the cluster has 1 CPUs, and each takes one"):
+        complete(training)
+    assert next(batches) == 32
+    assert training.folder.failure.is_file()
+    cluster.add_node(num_cpus=1)
+    complete(toy.reopen("run"))
+    assert not training.folder.failure.exists()
+    assert next(batches) == 32 + 1 + 10
+    assert toy.rows("run") == read_rows(undisturbed.folder.path)
 
 
 @pytest.mark.cluster
@@ -76,27 +124,6 @@ def test_collectors_use_the_newest_weights_and_unique_trajectory_ids(toy: Toy) -
             weights.fill_(0.0)
     assert next(batches)["logits"].eq(0.0).all()
     training.close()
-
-
-@pytest.mark.cluster
-@pytest.mark.usefixtures("cluster")
-def test_run_continues_exactly_after_a_lost_collector(
-    toy: Toy, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import ray
-
-    complete(toy.begin(name="whole", ray_collectors=2))
-    send, batches = ClusterCollector._send_weights, itertools.count()
-
-    def send_and_lose(self: ClusterCollector) -> None:
-        if next(batches) == 15:
-            ray.kill(self._flows.remote_collectors[0])
-        send(self)
-
-    monkeypatch.setattr(ClusterCollector, "_send_weights", send_and_lose)
-    complete(toy.begin(name="run", ray_collectors=2))
-    assert next(batches) == 30 + 5 + 1  # five decisions since the last checkpoint
-    assert toy.rows("run") == toy.rows("whole")
 
 
 def make_gliding_env(**arguments: Any) -> Any:
@@ -125,7 +152,8 @@ def test_epsilon_decays_with_env_frames_independent_of_the_number_of_fish(
 
 @pytest.mark.cluster
 def test_a_cluster_that_is_too_small_is_refused(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
-    ray = pytest.importorskip("ray", reason="pip install 'fishrl[cluster]'")
+    import ray
+
     monkeypatch.setattr(ray, "is_initialized", lambda: True)
     monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 1.0})
     with pytest.raises(ValueError, match="the cluster has 1 CPUs, and each takes one"):
