@@ -1,4 +1,4 @@
-"""Ending a run on Ctrl-C or on SIGTERM of a scheduler, with everything saved."""
+"""Ending a run with everything saved: on Ctrl-C, a closed terminal or a scheduler's signal."""
 
 import logging
 import signal
@@ -10,7 +10,12 @@ from types import FrameType
 
 logger = logging.getLogger(__name__)
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+#: Those of a terminal, and of schedulers before a time limit; Windows lacks some.
+SIGNALS = tuple(
+    number
+    for number in signal.Signals
+    if number.name in {"SIGINT", "SIGHUP", "SIGTERM", "SIGUSR1", "SIGUSR2"}
+)
 #: Within which the same signal counts as one: a scheduler and the sweep that it ends both send it.
 TWICE_SECONDS = 1.0
 
@@ -35,7 +40,7 @@ def exit_status(end: KeyboardInterrupt) -> int:
 
 @contextmanager
 def handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Handle Ctrl-C and SIGTERM in the main thread; an ignored one, as with ``nohup``, stays so."""
+    """Handle ``SIGNALS`` in the main thread; an ignored one, as with ``nohup``, stays so."""
     is_main = threading.current_thread() is threading.main_thread()
     before = {n: signal.signal(n, handle) for n in (list_heeded() if is_main else ())}
     try:
@@ -75,7 +80,7 @@ class Interruption:
 
 @contextmanager
 def ignore_signals_in_children() -> Iterator[None]:
-    """Block SIGINT and SIGTERM in processes that are started inside.
+    """Block ``SIGNALS`` in processes that are started inside.
 
     A terminal sends Ctrl-C to the whole process group; flow workers must outlive it until this
     process has saved their flows. A signal that arrives meanwhile is handled at the end.

@@ -1,9 +1,11 @@
 """Collectors of a Ray cluster that have a GPU each; the pretended ones share the host's memory."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import ray
 import torch
 
 from fishrl.envs import Predation
@@ -16,19 +18,27 @@ pytestmark = [
     pytest.mark.cluster,
     pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA"),
 ]
-ray = pytest.importorskip("ray", reason="pip install 'fishrl[cluster]'")
 
 
 @pytest.fixture(autouse=True, scope="module")
 def cluster() -> Iterator[None]:
-    ray.init(num_cpus=3, num_gpus=2, include_dashboard=False, log_to_driver=False)
+    pretended = {"PRETEND_CUDA": os.environ.get("PRETEND_CUDA", "")}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("PRETEND_CUDA", raising=False)  # Ray's own processes start without torch
+        ray.init(
+            num_cpus=3,
+            num_gpus=2,
+            include_dashboard=False,
+            log_to_driver=False,
+            runtime_env={"env_vars": pretended},
+        )
     yield
     ray.shutdown()
 
 
 def make_plan(folder: Path, *, name: str, num_frames: int, ray_collectors: int = 2) -> Plan:
     return Plan(
-        task=Predation(**TINY | {"time_limit": 3}),
+        task=Predation(**TINY | {"time_limit": 2}),
         num_envs=ray_collectors, ray_collectors=ray_collectors, warmup_frames=0,
         updates_per_frame=1.0, batch_size=2, hidden=(8,),
         total_frames=num_frames, log_frames=1, compile=False, device="cuda", folder=str(folder),
