@@ -1,6 +1,7 @@
 """Ending a run with everything saved: on Ctrl-C, a closed terminal or a scheduler's signal."""
 
 import logging
+import os
 import signal
 import threading
 import time
@@ -38,6 +39,15 @@ def exit_status(end: KeyboardInterrupt) -> int:
     return 128 + (int(end.args[0]) if end.args else signal.SIGINT)
 
 
+def leave_closed_terminal() -> None:
+    """Discard what is printed from now on if the terminal is closed: it would be an error."""
+    for stream in (1, 2):
+        try:
+            os.write(stream, b"")
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+
+
 @contextmanager
 def handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     """Handle ``SIGNALS`` in the main thread; an ignored one, as with ``nohup``, stays so."""
@@ -68,6 +78,7 @@ class Interruption:
 
     def handle(self, number: int, frame: FrameType | None) -> None:
         """Remember a signal that was received, see ``handling_signals``."""
+        leave_closed_terminal()
         if self._number is not None:
             if number == self._number and time.monotonic() - self._received < TWICE_SECONDS:
                 return

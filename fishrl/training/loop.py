@@ -69,7 +69,7 @@ class Training:
         """Train, evaluate the best policy and the baselines, and return the summary.
 
         Raises:
-            Interrupted: after SIGINT or SIGTERM; everything is saved.
+            Interrupted: after a signal of ``SIGNALS``; everything is saved.
             ChildProcessError: if a process of the flows dies; see ``runs.complete``.
             CheckpointNotWritten: if the first or the last checkpoint cannot be written.
         """

@@ -54,7 +54,7 @@ def train(
 
     Raises:
         ValueError: for invalid settings, or if they change the result of the run in the folder.
-        Interrupted: after SIGINT or SIGTERM; ``resume`` continues the run.
+        Interrupted: after one of ``SIGNALS``; ``resume`` continues the run.
     """
     plan = Plan(
         task=task,
@@ -201,7 +201,7 @@ def _continue(folder: RunFolder, plan: Plan, callbacks: Iterable[Callback]) -> T
 
 
 def complete(training: Training) -> dict[str, Any]:
-    """Run a training to its end and return the summary; on SIGINT or SIGTERM save and stop.
+    """Run a training to its end and return the summary; on one of ``SIGNALS`` save and stop.
 
     If a process of its flows dies, the run continues from its last checkpoint; if one dies again
     before the next checkpoint, ``ChildProcessError`` is raised.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import select
 import shlex
 import signal
 import subprocess
@@ -214,6 +217,26 @@ def test_a_sweep_that_is_ended_saves_its_runs(
     assert f"SIGTERM: saved at frame 8; resume with: {command}" in said
     assert f"rerun: {command}" in done.out
     assert "0 of 2 runs finished" in done.out
+
+
+@pytest.mark.parametrize("is_sweep", [False, True])
+def test_a_closed_terminal_ends_a_training_or_a_sweep_with_everything_saved(
+    tmp_path: Path, is_sweep: bool
+) -> None:
+    words = [*SETTINGS, f"folder={tmp_path}", f"+logger._target_={HERE}.Lingering"]
+    process, terminal = pty.fork()
+    if process == 0:
+        os.chdir(ROOT)
+        words += ["--multirun", "seed=0,1"] if is_sweep else ["name=run"]
+        os.execv(sys.executable, [sys.executable, "-m", "fishrl", "train", *words])
+    while not list(tmp_path.glob("*/mark")):
+        if select.select([terminal], [], [], 0.1)[0]:
+            os.read(terminal, 1000)
+    os.close(terminal)
+    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == (1 if is_sweep else 129)
+    (run,) = read_runs(tmp_path)
+    assert (run.status, run.frames) == ("stopped", 8)
+    assert not (run.path / "failure.txt").exists()
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from fishrl.training.interruption import (
+    SIGNALS,
     Interrupted,
     Interruption,
     exit_status,
@@ -60,10 +61,10 @@ def test_processes_of_the_flows_ignore_signals_of_the_run() -> None:
     sleep = [sys.executable, "-c", "input()"]
     with ignore_signals_in_children():
         child = subprocess.Popen(sleep, stdin=subprocess.PIPE)
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         child.send_signal(number)
     with pytest.raises(subprocess.TimeoutExpired):
         child.wait(0.5)
     child.communicate(b"\n")
     assert child.returncode == 0
-    assert not signal.pthread_sigmask(signal.SIG_BLOCK, []) & {signal.SIGINT, signal.SIGTERM}
+    assert not signal.pthread_sigmask(signal.SIG_BLOCK, []) & set(SIGNALS)

@@ -11,7 +11,11 @@ from types import FrameType
 
 import psutil
 
-from fishrl.training.interruption import handling_signals, list_heeded
+from fishrl.training.interruption import (
+    handling_signals,
+    leave_closed_terminal,
+    list_heeded,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -21,7 +25,7 @@ SAVE_SECONDS = 600.0
 
 @contextmanager
 def ending_runs() -> Iterator[None]:
-    """On Ctrl-C and SIGTERM, end the trainings below this process, then raise KeyboardInterrupt.
+    """On one of ``SIGNALS``, end the trainings below this process, then raise KeyboardInterrupt.
 
     A launcher may kill its processes where it is interrupted, so the trainings save before. Ctrl-C
     in a terminal reaches them too, another signal may reach this process alone; a training takes
@@ -32,6 +36,7 @@ def ending_runs() -> Iterator[None]:
 
     def pass_on(number: int, frame: FrameType | None) -> None:
         nonlocal is_ending
+        leave_closed_terminal()
         signalled.clear()  # the loop below, which this may have interrupted, signals all again
         if is_ending:
             return
