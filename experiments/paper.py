@@ -11,17 +11,19 @@ from typing import Any
 import yaml
 from markdown_it import MarkdownIt
 
+from fishrl.files import make_folder
+from fishrl.pages import write_table
 from fishrl.programs import view
+from fishrl.programs.configuration import quote
 from fishrl.programs.figures.learning_curve import Curve, draw_curves, read_metrics
 from fishrl.programs.gait.tables import divide_work
-from fishrl.programs.pages import write_table
 from fishrl.programs.statistics import find_mean, show
 from fishrl.programs.summarize import summarize
 from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
 from fishrl.settings import flatten, to_plain
 from fishrl.training.callback import SILENT
-from fishrl.training.run_folder import read_config
+from fishrl.training.run_folder import read_config, write_whole
 
 #: Folder and name of each kind of policy in the second task.
 ARMS = {
@@ -108,7 +110,7 @@ def list_settings(run: Path) -> str:
 def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> None:
     """Copy and draw the figures."""
     summarize(folder / "predation", paths=runs["predation"])
-    pictures.mkdir(parents=True, exist_ok=True)
+    make_folder(pictures)
     places = {"folder": folder, "classifier": find_fitted(folder), "hunt": runs["predation"][0]}
     for name, figure in read_paper()["figures"].items():
         if "file" in figure:
@@ -124,7 +126,8 @@ def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> No
     }
     draw_curves(pictures / "training.png", curves)
     film = pictures / "gait.gif"
-    words = [f"checkpoint={runs['both'][0]}", f"periods={FILM_T}", f"save={film}"]
+    words = [f"checkpoint={quote(str(runs['both'][0]))}", f"periods={FILM_T}"]
+    words.append(f"save={quote(str(film))}")
     view.record(view.main.read(words), save=film, url=None, progress=SILENT)
 
 
@@ -167,8 +170,8 @@ def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) 
         write_table(("job", "program", "hours"), spent),
     ]
     text = "\n\n".join(part.strip() for part in parts) + "\n"
-    (folder / "reproduction.md").write_text(text, encoding="utf-8")
-    html = MarkdownIt("commonmark").enable("table").render(text)
+    write_whole(folder / "reproduction.md", text)
+    html = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
     page = folder / "reproduction.html"
-    page.write_text(f"<!doctype html><meta charset='utf-8'>{html}", encoding="utf-8")
+    write_whole(page, f"<!doctype html><meta charset='utf-8'>{html}")
     return page

@@ -22,6 +22,8 @@ from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 from experiments.benchmarks.machine import describe_machine
 from experiments.paper import find_fitted, write_page
 from fishrl.__main__ import list_programs
+from fishrl.files import make_folder
+from fishrl.programs.configuration import quote
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
@@ -100,7 +102,7 @@ def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path
     """Return the job that trains a policy with each seed; ValueError for wrong settings."""
     TRAINING.read(settings)
     seeds = f"seed={','.join(map(str, scale.seeds))}"
-    words = ("train", "--multirun", *settings, seeds, f"folder={folder / name}")
+    words = ("train", "--multirun", *settings, seeds, f"folder={quote(str(folder / name))}")
     return Job(name=name, words=words, num_runs=len(scale.seeds))
 
 
@@ -109,18 +111,18 @@ def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
 
     ValueError for wrong settings of a training.
     """
-    words = ("validate", "cases=[swimmer]", *scale.swimmer, f"folder={folder / 'swimmer'}")
+    words = ("validate", "cases=[swimmer]", *scale.swimmer, f"folder={quote(f'{folder}/swimmer')}")
     yield Job(name="swimmer", words=words)
     yield plan_training("predation", scale.predation, scale, folder)
     yield Job(
         name="classifier",
         words=(
             *("train-lateral-line", "paper_epochs=1000", *scale.lateral_line),
-            *(f"folder={folder}", "name=classifier"),
+            *(f"folder={quote(str(folder))}", "name=classifier"),
         ),
     )
     fitted = find_fitted(folder)
-    classifier = fitted / "machine.pt" if fitted else "oracle"  # settings are read before, too
+    classifier = quote(f"{fitted}/machine.pt") if fitted else "oracle"  # settings are read before
     trained: list[Path] = []
     for arm, settings in ARM_SETTINGS.items():
         words = tuple(word.format(classifier=classifier) for word in settings)
@@ -130,9 +132,10 @@ def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
     yield Job(
         name="transfer",
         words=(
-            *("transfer", f"runs=[{','.join(map(str, trained))}]", "baselines=[pid,shedding]"),
+            *("transfer", f"runs=[{','.join(quote(str(run)) for run in trained)}]"),
+            "baselines=[pid,shedding]",
             *(f"episodes={scale.episodes}", f"periods={scale.periods:g}"),
-            *(f"free_episodes={scale.free_episodes}", f"folder={folder / 'transfer'}"),
+            *(f"free_episodes={scale.free_episodes}", f"folder={quote(f'{folder}/transfer')}"),
         ),
     )
 
@@ -202,7 +205,7 @@ def run_job(job: Job, record: Record, lock: int) -> None:
 def main(settings: ReproduceSettings) -> None:
     """Run what is left, and write the page."""
     scale, folder = settings.scale, settings.path
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     with alone(folder) as lock:
         record = Record(folder)
         left = [job.name for job in list_jobs(scale, folder) if not record.is_finished(job)]

@@ -24,6 +24,16 @@ def start_child(code: str, *arguments: str, **options: Any) -> subprocess.Popen[
     return subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True, **options)
 
 
+def make_environment() -> dict[str, str]:
+    """Return variables with which a Python child imports from where this process does.
+
+    Nothing is added: ``python -m`` alone would import from its working directory first, which may
+    hold the files of others.
+    """
+    folders = os.pathsep.join(map(os.path.abspath, sys.path))
+    return {**os.environ, "PYTHONPATH": folders, "PYTHONSAFEPATH": "1"}
+
+
 def end_with_pipe() -> None:
     """Kill the process group of this process, in the background, once its stdin is closed."""
 

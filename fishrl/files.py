@@ -1,9 +1,10 @@
-"""Write files atomically, and read files of tensors with checks."""
+"""Write files atomically and into the folder that was named, and read files of tensors safely."""
 
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
@@ -11,17 +12,44 @@ import torch
 
 @contextmanager
 def staged(path: Path) -> Iterator[Path]:
-    """Yield a temporary path next to ``path``; the file written there replaces it at the end.
+    """Yield a temporary path of the same name; the file written there replaces ``path`` at the end.
 
     A reader sees the previous file or the new one, never a part. After an error the previous file
-    stays.
+    stays. A symbolic link at ``path`` is replaced, not followed.
     """
-    stage = path.with_name(f".{path.name}.{os.getpid()}.stage")
-    try:
+    with TemporaryDirectory(prefix=".", dir=path.parent) as folder:
+        stage = Path(folder) / path.name
         yield stage
         stage.replace(path)
-    finally:
-        stage.unlink(missing_ok=True)
+
+
+def check_names(folder: Path) -> Path:
+    """Return a folder of results that may be written into, with all that it holds.
+
+    Its files may come from others, and writing to a symbolic link changes what it leads to.
+
+    Raises:
+        ValueError: for links in it that lead out of it, and for names that cannot be printed.
+    """
+    root = folder.resolve()
+    for place, folders, files in os.walk(root):
+        for path in (Path(place), *(Path(place, name) for name in (*folders, *files))):
+            if not path.name.isprintable():
+                raise ValueError(f"{folder}: holds {path.name!r}; rename or delete it")
+            if path.is_symlink() and not path.resolve().is_relative_to(root):
+                raise ValueError(
+                    f"{path}: is a link that leads out of {folder}; delete it, or replace it by "
+                    "what it links to"
+                )
+        if "wandb" in folders:  # whose files are always new, and link to a cache
+            folders.remove("wandb")
+    return folder
+
+
+def make_folder(folder: Path) -> Path:
+    """Make a folder for results unless there is one; errors are those of ``check_names``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return check_names(folder)
 
 
 def load_tensors(

@@ -31,6 +31,7 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/settings/", {"numpy", "pydantic", "pydantic_core", "fishrl.settings"}),
     ("fishrl/children.py", set()),
     ("fishrl/files.py", {"torch"}),
+    ("fishrl/pages.py", {"fishrl.files"}),
     ("fishrl/extras.py", {"packaging"}),
     ("fishrl/memory.py", {"torch"}),
     ("fishrl/physics/fast/triton_coupling.py", {"torch", "triton"}),

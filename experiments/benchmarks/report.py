@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.benchmarks.measuring import Case, Results
-from fishrl.programs.pages import write_table
+from fishrl.pages import write_table
 
 BEGIN, END = (f"<!-- measured: {mark} -->" for mark in ("begin", "end"))
 

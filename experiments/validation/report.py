@@ -10,7 +10,7 @@ import matplotlib as mpl
 
 from experiments.validation.case import MISSED, PASS, RECORDED, Check, as_range
 from experiments.validation.runner import FIGURE_STYLE, Outcome
-from fishrl.programs.pages import write_table
+from fishrl.pages import write_table
 from fishrl.training.run_folder import write_json
 
 HEADS = ("quantity", "ours", "reference", "error", "tolerance", "verdict", "resolution")

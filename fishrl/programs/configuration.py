@@ -104,7 +104,8 @@ class CommandLine:
         named = [own] if isinstance(own, str) else [str(module) for module in own]
         for module in named:
             import_module(module)
-        trusted = {*list_modules(node), *_search_modules(split_options(arguments).config_dir)}
+        config_dir = split_options(arguments).config_dir
+        trusted = {*list_modules(node), *_search_modules(config_dir, self.groups)}
         changes = [each.key_or_group for each in parse(overrides) if not each.is_delete()]
         given = {key: _select(node, key) for key in changes}
         if "algorithm" not in self.groups:
@@ -162,7 +163,7 @@ class CommandLine:
     def _as_override(self, word: str, bare: Collection[str]) -> str:
         word = word.lstrip("+")
         key, equals, value = word.partition("=")
-        if not equals and self.positional is not None:
+        if self.positional is not None and not (equals and re.fullmatch(r"~?[\w.]+", key)):
             return f"{self.positional}={quote(word)}"
         if not (key and equals) and not word.startswith("~"):
             raise ValueError(f"{word!r}: settings are given as key=value, without spaces")
@@ -170,6 +171,10 @@ class CommandLine:
             raise unknown(key, sorted(bare))
         if key in self.groups and value.startswith(("[", "{")):
             raise ValueError(f"{word}: must be one name")
+        if equals:
+            types = {entry.name: entry.type for entry in list_fields(self.schema)}
+            is_text = types.get(key) in (str, str | None)
+            word = f"{key}={read_value(value, is_text=is_text)}"
         return word if key in bare or re.match(r"~|hydra[./]|.*[/@]", key) else f"++{word}"
 
 
@@ -204,9 +209,29 @@ def run_hydra(run: Callable[[DictConfig], None], name: str | None, words: Sequen
 
 def quote(value: str) -> str:
     """Write a value so that hydra reads it as it is: a plain path bare, others in quotes."""
-    if re.fullmatch(r"[\w.~+-]*/[\w./~+-]*", value, re.ASCII):
+    if re.fullmatch(r"[\w.+-]*/[\w./+-]*", value, re.ASCII):
         return value
+    value = re.sub(r"(\\*)\$\{", r"\1\1\\${", value)  # no interpolation
     return QuotedString(value, Quote.single).with_quotes()
+
+
+def read_value(value: str, *, is_text: bool = False) -> str:
+    """Return a value as it was typed, in quotes where hydra would take a word for an expression.
+
+    Args:
+        value: what follows ``key=``; ``~/`` is the home folder.
+        is_text: whether the setting is a word, such as a path or name, and never a number.
+    """
+    if value.startswith("~/"):
+        value = str(Path(value).expanduser())
+    try:
+        (override,) = parse([f"key={value}"])
+        if not is_text or override.is_sweep_override() or isinstance(override.value(), str | None):
+            return value
+    except ValueError:
+        if re.fullmatch(r"\[.*\]", value):
+            return f"[{','.join(read_value(entry) for entry in value[1:-1].split(','))}]"
+    return quote(value)
 
 
 def parse(overrides: Iterable[str]) -> list[Override]:
@@ -244,11 +269,12 @@ def list_modules(node: Any) -> Iterator[str]:
         yield from list_modules(value)
 
 
-def _search_modules(folder: str | None) -> Iterator[str]:
-    """List the modules that YAML files in a folder of the user name."""
-    for path in Path(folder).expanduser().rglob("*.yaml") if folder else ():
-        text = path.read_text(encoding="utf-8")
-        yield from re.findall(rf"{TARGET}: *['\"]?([\w.]+)\.\w+", text)
+def _search_modules(folder: str | None, groups: Iterable[str]) -> Iterator[str]:
+    """List the modules that YAML files of groups in a folder of the user name."""
+    for group in groups if folder else ():
+        for path in Path(str(folder), group).expanduser().rglob("*.yaml"):
+            text = path.read_text(encoding="utf-8")
+            yield from re.findall(rf"{TARGET}: *['\"]?([\w.]+)\.\w+", text)
 
 
 def _select(node: Any, key: str) -> Any:

@@ -36,6 +36,7 @@ import yaml
 from tqdm import tqdm
 
 from fishrl.envs import AbstractTask
+from fishrl.pages import show
 from fishrl.programs.configuration import CommandLine, split_options
 from fishrl.settings import REQUIRED, TARGET, Settings, build, describe, list_fields, to_plain
 from fishrl.settings.plain import list_classes
@@ -219,8 +220,8 @@ def plain_errors() -> Iterator[None]:
     except (ValueError, ImportError, OSError) as error:
         if os.environ.get("FISHRL_DEBUG"):
             raise
-        said = f"error: {error}{_find_line(error)}"
-        sys.exit("\n".join([said, *getattr(error, "__notes__", ())]))
+        said = "\n".join([f"error: {error}{_find_line(error)}", *getattr(error, "__notes__", ())])
+        sys.exit("\n".join(map(show, said.split("\n"))))
     except KeyboardInterrupt as end:
         print("interrupted", file=sys.stderr)
         sys.exit(exit_status(end))

@@ -14,6 +14,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote as quote_url
 
 from hydra.core.override_parser.types import IntervalSweep
 from pydantic import PositiveInt
@@ -24,6 +25,8 @@ except ImportError:  # it comes with the extra `sweep`
     optuna = None  # type: ignore[assignment]
 
 from fishrl.extras import show_install
+from fishrl.files import make_folder
+from fishrl.pages import show
 from fishrl.programs.configuration import parse, quote
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.ending import ending_runs
@@ -103,9 +106,9 @@ def open_study(settings: SearchSettings) -> Any:
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     folder, space = settings.path, settings.space()
-    folder.mkdir(parents=True, exist_ok=True)
+    file = make_folder(folder).resolve() / "study.db"
     study = optuna.create_study(
-        storage=f"sqlite:///{folder.resolve() / 'study.db'}",
+        storage=f"sqlite:///file:{quote_url(str(file))}?uri=true",
         study_name="search",
         direction="minimize" if settings.minimize else "maximize",
         load_if_exists=True,
@@ -114,7 +117,7 @@ def open_study(settings: SearchSettings) -> Any:
     identity = str([settings.fixed, ranges, settings.metric, settings.seeds, settings.minimize])
     has_begun = any(trial.value is not None for trial in study.trials)
     if has_begun and study.user_attrs.get("identity", identity) != identity:
-        raise ValueError(f"{folder}: holds another search, {study.user_attrs['identity']}")
+        raise ValueError(f"{folder}: holds another search, {study.user_attrs['identity']!r}")
     study.set_user_attr("identity", identity)
     return study
 
@@ -150,7 +153,8 @@ def run_trial(settings: SearchSettings, study: Any, number: int) -> None:
         if trial.state != optuna.trial.TrialState.RUNNING:
             return
         chosen = [f"{key}={value}" for key, value in trial.params.items()]
-        is_whole = set(trial.params) == set(settings.space())  # else killed before it was begun
+        # else killed before it was begun, or not of this search
+        is_whole = trial.distributions == settings.space()
         seeds = range(settings.seeds) if is_whole else ()
         values: list[Any] = [run_seed(settings, number, chosen, seed) for seed in seeds]
         if not values or None in values:
@@ -195,6 +199,6 @@ def main(settings: SearchSettings) -> None:
     done = [trial for trial in study.trials if trial.value is not None]
     print(f"\n{len(done)} of {len(study.trials)} trials finished in {settings.folder}")
     for trial in sorted(done, key=lambda t: t.value, reverse=not settings.minimize)[:5]:
-        chosen = " ".join(f"{key}={value}" for key, value in trial.params.items())
+        chosen = show(" ".join(f"{key}={value}" for key, value in trial.params.items()))
         print(f"  trial {trial.number:<4} {settings.metric} {trial.value:<12.6g} {chosen}")
     print(f"table and curves: {show_command('summarize', settings.folder)}")

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from fishrl.pages import escape, write_csv, write_table
 from fishrl.programs.figures.learning_curve import RATE, Curve, draw_curves, read_metrics
-from fishrl.programs.pages import write_csv, write_table
 from fishrl.programs.program import program
 from fishrl.programs.statistics import (
     find_improvement,
@@ -26,6 +26,7 @@ from fishrl.programs.statistics import (
 from fishrl.programs.sweeps.groups import Group, group_runs, is_number
 from fishrl.programs.sweeps.runs import Run, advise, read_run, read_runs
 from fishrl.settings import Settings
+from fishrl.training.run_folder import write_whole
 
 #: Heading, entry of a run's summary, format. ``curve_mean`` is the mean success rate over all
 #: evaluations of a training: the earlier a policy succeeds, the greater.
@@ -86,8 +87,8 @@ def summarize(folder: Path, *, paths: Sequence[Path] | None = None) -> str:
         for title, column in PANELS.items()
     }
     has_curves = draw_curves(folder / "curves.png", panels)
-    text = f"# {folder.resolve().name}\n\n{text}\n{advise(runs)}\n"
-    (folder / "summary.md").write_text(text, encoding="utf-8")
+    text = f"# {escape(folder.resolve().name)}\n\n{text}\n```\n{advise(runs)}\n```\n"
+    write_whole(folder / "summary.md", text)
     return text + (f"\ncurves: {folder / 'curves.png'}\n" if has_curves else "")
 
 

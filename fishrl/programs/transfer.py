@@ -20,7 +20,7 @@ from fishrl.programs.gait.tables import write_free_stream, write_results
 from fishrl.programs.program import TaskSettings, program
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.progress import Progress
-from fishrl.training.run_folder import write_json
+from fishrl.training.run_folder import write_json, write_whole
 
 
 class TransferSettings(TaskSettings):
@@ -100,7 +100,7 @@ def transfer(
     text = write_results(combined, speeds)
     if free is not None:
         text += f"\n{write_free_stream(free, combined[best], speeds)}"
-    (folder / "transfer.md").write_text(text, encoding="utf-8")
+    write_whole(folder / "transfer.md", text)
     first = {arm: seeds[0] for arm, seeds in arms.items()}
     figures.write_survival(folder / "survival.png", arms, speeds=speeds)
     figures.write_paths(folder / "paths.png", first, task=task)

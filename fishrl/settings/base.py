@@ -42,10 +42,11 @@ class FieldErrors(ValueError):
 class Settings:
     """Base of settings: each subclass is a frozen, keyword-only dataclass that checks its fields.
 
-    Numbers are finite, and whole ones have at most 64 bits. Nothing is converted but NumPy's
-    numbers, whole numbers where a float is expected, and lists, which become tuples. A subclass,
-    which needs no decorator, repeats the type of a field whose default it changes and keeps bounds
-    and role. Checks that concern several fields belong in ``__post_init__``.
+    Numbers are finite, whole ones have at most 64 bits, and words can be printed in one line.
+    Nothing is converted but NumPy's numbers, whole numbers where a float is expected, and lists,
+    which become tuples. A subclass, which needs no decorator, repeats the type of a field whose
+    default it changes and keeps bounds and role. Checks that concern several fields belong in
+    ``__post_init__``.
 
     Raises:
         ValueError: with a line per error, ``name = value: must be ...``.
@@ -103,7 +104,7 @@ def _check_init(self: Any, /, **values: Any) -> None:
         try:
             values[name] = _to_python(value)
         except ValueError as error:
-            lines[name] = f"{name} = {value}: must be {error}"
+            lines[name] = f"{name} = {value!r}: must be {error}"
     try:
         self.__pydantic_validator__.validate_python(ArgsKwargs((), values), self_instance=self)
     except pydantic.ValidationError as error:
@@ -129,6 +130,8 @@ def _to_python(value: Any) -> Any:
         raise ValueError("a number of at most 64 bits")
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError("finite")
+    if isinstance(value, str) and not value.isprintable():
+        raise ValueError("a word that can be printed in one line")
     return value
 
 

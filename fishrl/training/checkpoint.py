@@ -17,7 +17,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointA
 
 from fishrl.training.policy_spec import CHECKED, PolicySpec
 from fishrl.training.policy_zoo import find_folder
-from fishrl.training.run_folder import name_coupling, refuse_many
+from fishrl.training.run_folder import adopt_config, refuse_many
 
 SUMS = "SHA256SUMS"
 #: Exceptions that reading a damaged checkpoint may raise.
@@ -104,9 +104,9 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
         if not isinstance(metadata, dict) or set(metadata) != _METADATA:
             raise CheckpointError("its metadata are not those of a run")
         _check_files(found, ["manifest.json"])
+        return found, {**metadata, "config": adopt_config(metadata["config"])}
     except (*_DAMAGE, AttributeError) as error:
         raise _corrupt(found, error) from error
-    return found, {**metadata, "config": name_coupling(metadata["config"])}
 
 
 def load_checkpoint(

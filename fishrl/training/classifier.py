@@ -36,15 +36,18 @@ def find_classifier(choice: Recognition, folder: Path) -> Recognition:
 
 
 def keep_recognition(choice: Recognition, folder: Path) -> str | None:
-    """Copy the classifier of a run into its folder, and return the setting of the run."""
+    """Copy the classifier of a run into its folder, and return the setting of the run.
+
+    Raises:
+        ValueError: for a file that is no classifier.
+    """
     if choice is None or choice == ORACLE:
         return choice
     if isinstance(choice, LateralLineClassifier):
         choice.save(folder / OWN)
         return OWN
     source = Path(str(find_classifier(choice, Path()))).expanduser()
-    if not source.is_file():
-        raise ValueError(f"recognition = {choice}: there is no such file; give oracle or a file")
+    LateralLineClassifier.load(source)
     copyfile(source, folder / OWN)
     return OWN
 

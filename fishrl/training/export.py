@@ -1,20 +1,22 @@
 """Write the policy of a run into a small folder of its own, with a model card."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
-from shutil import copyfile
 from typing import Any
 
 import yaml
 
 from fishrl import __version__
-from fishrl.files import staged
+from fishrl.files import check_names, staged
+from fishrl.pages import escape, write_csv, write_table
 from fishrl.training.checkpoint import read_metadata, save_checkpoint
 from fishrl.training.classifier import find_classifier, keep_recognition
+from fishrl.training.logger import read_rows
 from fishrl.training.plan import Plan
 from fishrl.training.policies import load_plan, load_policy
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.run_folder import RunFolder, read_config, read_summary
+from fishrl.training.run_folder import RunFolder, read_config, read_summary, write_json
 
 #: Results on the card, by their names in ``summary.json``.
 _RESULTS = {
@@ -35,6 +37,9 @@ def export_policy(
 ) -> Path:
     """Write the best policy of a run, without what only its training needs.
 
+    Nothing is copied unread: the folder holds weights, a classifier, settings and numbers of the
+    run, and no file that it links to.
+
     The folder is a checkpoint: ``load_policy``, ``evaluate`` and the programs take it. It holds the
     weights with their SHA-256, the settings, the run's classifier if it has one, ``metrics.csv``
     and ``summary.json``, and a model card, ``README.md``.
@@ -51,7 +56,7 @@ def export_policy(
     Raises:
         ValueError: if there is no such run or checkpoint, or the folder holds something.
     """
-    source, folder = RunFolder(Path(run).expanduser()), Path(folder).expanduser()
+    source, folder = RunFolder(check_names(Path(run).expanduser())), Path(folder).expanduser()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ValueError(f"folder = {folder}: exists; name a new one")
     path, plan = load_plan(source.path)
@@ -64,10 +69,11 @@ def export_policy(
     folder.parent.mkdir(parents=True, exist_ok=True)
     save_checkpoint(folder, {"actor": actor}, spec=spec, frames=metadata["frames"], config=config)
     keep_recognition(find_classifier(plan.recognition, path), folder)
-    for file in (source.metrics, source.summary):
-        if file.is_file():
-            copyfile(file, folder / file.name)
     summary = read_summary(source.summary) if source.summary.is_file() else {}
+    if summary:
+        write_json(folder / source.summary.name, summary)
+    if source.metrics.is_file() and (rows := read_rows(source.metrics)):
+        write_csv(folder / source.metrics.name, list(rows[0]), (list(row.values()) for row in rows))
     card = _write_card(
         plan, summary, title=title or folder.name, frames=metadata["frames"], revision=revision
     )
@@ -98,14 +104,16 @@ def _write_card(
         (label, [_show(summary.get(prefix + key)) for prefix in prefixes])
         for key, label in _RESULTS.items()
     ]
-    lines = ["---", yaml.safe_dump(header, sort_keys=False).rstrip(), "---", f"# {title}", ""]
+    lines = ["---", yaml.safe_dump(header, sort_keys=False).rstrip(), "---"]
+    lines += [f"# {escape(title)}", ""]
     lines += [f"- {name}: {value}" for name, value in about.items()]
     lines += ["", "Final evaluation from fixed starts that were not used to choose it:", ""]
-    lines += [f"| | {' | '.join(names)} |", "|---|" + "---|" * len(names)]
-    lines += [f"| {label} | {' | '.join(values)} |" for label, values in results]
-    lines += ["", "`metrics.csv` holds the learning curve. Settings:", "", "```yaml"]
+    lines += [write_table(["", *names], [[label, *values] for label, values in results])]
+    lines += ["`metrics.csv` holds the learning curve. Settings:", "", "```yaml"]
     config = plan.to_config()
-    lines += [yaml.safe_dump(config, sort_keys=False, allow_unicode=True).rstrip(), "```", ""]
+    # a setting a line: none ends the block of code
+    text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True, width=math.inf)
+    lines += [text.rstrip(), "```", ""]
     lines += ["`fishrl.training.load_policy(<this folder>)` loads the policy.", ""]
     return "\n".join(lines)
 

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from fishrl.settings import describe
-from fishrl.training.run_folder import write_whole
+from fishrl.training.run_folder import check_words, write_whole
 
 logger = logging.getLogger(__name__)
 
 
 def read_rows(path: Path, *, step: str = "frames") -> list[dict[str, str]]:
-    """Read a ``metrics.csv``, but for a last row that a kill has cut.
+    """Read a ``metrics.csv``, numbers and blanks, but for a last row that a kill has cut.
 
     Args:
         path: of the file.
@@ -31,18 +31,28 @@ def read_rows(path: Path, *, step: str = "frames") -> list[dict[str, str]]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             lines = csv.DictReader(file)
-            if step not in (lines.fieldnames or ()):
+            if step not in (names := lines.fieldnames or ()):
                 raise ValueError(f"there is no column {step!r}")
+            check_words([*names])
             for row in lines:
                 if problem:
                     raise ValueError(problem)
-                if None in row or None in row.values() or not row[step].isdigit():
+                if not _is_row(row) or not row[step].isdigit():
                     problem = f"line {lines.line_num} is not a row of its columns"
                 else:
                     rows.append(row)
     except (ValueError, csv.Error) as error:
         raise ValueError(f"{path}: damaged ({error}); repair or delete it") from error
     return rows
+
+
+def _is_row(row: Mapping[str | None, str | None]) -> bool:
+    """Tell whether a row has a number or a blank in each column."""
+    try:
+        _ = [float(value or "") for value in row.values() if value != ""]
+    except (TypeError, ValueError):
+        return False
+    return None not in row
 
 
 class CsvLogger:

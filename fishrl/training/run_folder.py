@@ -16,8 +16,11 @@ from typing import Any, TextIO
 
 import yaml
 
-from fishrl.files import staged
+from fishrl.envs.transforms import ORACLE
+from fishrl.files import check_names, staged
+from fishrl.training.classifier import OWN
 from fishrl.training.interruption import Interrupted
+from fishrl.training.policy_zoo import PREFIX
 
 logger = logging.getLogger(__name__)
 
@@ -39,7 +42,7 @@ class RunFolder:
         self.summary = path / "summary.json"  # the result of the run
         self.last = path / "checkpoints" / "last"  # the newest, from which a run resumes
         self.best = path / "checkpoints" / "best"  # the one with the best evaluation
-        self.classifier = path / "machine.pt"  # labels its flows, if one does
+        self.classifier = path / OWN  # labels its flows, if one does
         self.failure = path / "failure.txt"  # why the run failed; the last line is the message
         self.lock = path / ".lock"  # locked by the process that writes the run, see ``hold``
 
@@ -83,7 +86,7 @@ class RunFolder:
 
     def checked(self) -> RunFolder:
         """Return the folder if files can be written into it, or raise ValueError."""
-        if not os.access(self.path, os.W_OK | os.X_OK):
+        if not os.access(check_names(self.path), os.W_OK | os.X_OK):
             raise _unwritable(self.path, "no write permission")
         return self
 
@@ -138,23 +141,43 @@ def read_config(path: Path) -> dict[str, Any]:
     """Read the ``config.yaml`` of a run; raise ValueError if it holds no settings."""
     try:
         config = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        if not isinstance(config, dict):
+            raise ValueError("it holds no settings")
+        return adopt_config(config)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"{path}: not the configuration of a run ({reason})") from error
-    if not isinstance(config, dict):
-        raise ValueError(f"{path}: not the configuration of a run")
-    return name_coupling(config)
 
 
-def name_coupling(config: dict[str, Any]) -> dict[str, Any]:
-    """Return stored settings with the immersed boundary in a task that names no coupling.
+def adopt_config(config: dict[str, Any]) -> dict[str, Any]:
+    """Return stored settings, with the immersed boundary in a task that names no coupling.
 
     It was the only one of tasks before they had the setting, and not the default since.
+
+    Raises:
+        ValueError: for settings that no run writes.
     """
-    task = config.get("task")
+    check_words(config)
+    named, task = config.get("recognition"), config.get("task")
+    if isinstance(named, str) and named not in (OWN, ORACLE) and not named.startswith(PREFIX):
+        raise ValueError(f"recognition = {named!r}: a run keeps its classifier as {OWN}")
     if not isinstance(task, dict) or "coupling" in task:
         return config
     return {**config, "task": {**task, "coupling": "IMPLICIT"}}
+
+
+def check_words(value: Any) -> None:
+    """Raise ValueError for stored words that cannot be printed, as those that control a terminal.
+
+    Args:
+        value: nested plain data.
+    """
+    if isinstance(value, Mapping):
+        value = [*value, *value.values()]
+    for entry in value if isinstance(value, list) else ():
+        check_words(entry)
+    if isinstance(value, str) and not value.isprintable():
+        raise ValueError(f"{value!r} is no word in one line")
 
 
 def read_summary(path: Path) -> dict[str, Any]:
@@ -166,6 +189,7 @@ def read_summary(path: Path) -> dict[str, Any]:
         for name, value in values.items():
             if isinstance(value, str) and name not in _WORDS:
                 raise ValueError(f"{name} = {value!r} is no number")
+        check_words(values)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: damaged ({error}); repair or delete it") from error
     return values

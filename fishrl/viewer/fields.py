@@ -8,10 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from torch import Tensor
 
+from fishrl.files import make_folder
 from fishrl.physics import InPlaceSolver, Scales, compute_pressure, compute_vorticity
 
 if TYPE_CHECKING:
@@ -102,8 +104,7 @@ def write_vtk(flow: xr.Dataset, path: Path | str) -> None:
     import pyvista as pv
 
     path = Path(path)
-    folder = path.with_suffix("")
-    folder.mkdir(exist_ok=True)
+    folder = make_folder(path.with_suffix(""))
     spacing = 1.0 / flow.attrs["nodes_per_L"]
     rows = []
     for index, time in enumerate(flow["time"].values):
@@ -121,13 +122,13 @@ def write_vtk(flow: xr.Dataset, path: Path | str) -> None:
             parts.append((f"{name}_{index:05d}.vtp", face))
         for part, (name, mesh) in enumerate(parts):
             mesh.save(folder / name)
-            rows.append(
-                f'<DataSet timestep="{time:.6g}" part="{part}" file="{folder.name}/{name}"/>'
-            )
+            file = quoteattr(f"{folder.name}/{name}")
+            rows.append(f'<DataSet timestep="{time:.6g}" part="{part}" file={file}/>')
     text = "\n".join(rows)
     path.write_text(
         '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n'
-        f"<Collection>\n{text}\n</Collection>\n</VTKFile>\n"
+        f"<Collection>\n{text}\n</Collection>\n</VTKFile>\n",
+        encoding="utf-8",
     )
 
 

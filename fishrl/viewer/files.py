@@ -9,6 +9,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, get_args
 
+from fishrl.children import make_environment
 from fishrl.envs.scene import Scene
 from fishrl.viewer.blueprint import make_blueprint
 from fishrl.viewer.drawing import TIMELINE, Drawing
@@ -77,7 +78,8 @@ def open_recording(path: str | os.PathLike[str]) -> None:
         ValueError: if the viewer fails.
     """
     words = ["-m", "rerun", "--bind", "127.0.0.1", "--port", "auto", str(find_recording(path))]
-    status = subprocess.run([sys.executable, *words], check=False).returncode
+    command = [sys.executable, *words]
+    status = subprocess.run(command, check=False, env=make_environment()).returncode
     if status:
         raise ValueError(
             f"the viewer ended with status {status}: its window needs a screen and a graphics "
@@ -174,7 +176,7 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
     folder = target.absolute().parent
     if not folder.is_dir():
         raise FileNotFoundError(f"no folder {target.parent}: make it first")
-    if target.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+    if target.is_dir() or target.is_symlink() or not os.access(folder, os.W_OK | os.X_OK):
         raise OSError(f"{target}: cannot be written; choose another file")
     return target
 

@@ -30,6 +30,7 @@ STYLE: Any = {
     "legend.frameon": False,
     "figure.facecolor": "white",
     "savefig.dpi": 150,
+    "text.parse_math": False,  # labels are words
 }
 FISH = "#20252b"
 FOOD = "#f2b134"

@@ -11,7 +11,7 @@ import sys
 import time
 from typing import Any
 
-from fishrl.children import start_child
+from fishrl.children import make_environment, start_child
 
 logger = logging.getLogger(__name__)
 
@@ -113,7 +113,8 @@ def has_screen() -> bool:
 
 def open_window(*options: str) -> None:
     """Start rerun in a window that outlives this process."""
-    subprocess.Popen([sys.executable, "-m", "rerun", *options], start_new_session=True, **_SILENT)
+    command, env = [sys.executable, "-m", "rerun", *options], make_environment()
+    subprocess.Popen(command, env=env, start_new_session=True, **_SILENT)
 
 
 def find_port(first: int) -> int:

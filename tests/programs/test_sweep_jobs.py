@@ -26,6 +26,7 @@ from fishrl.training import find_result
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.run_folder import read_config, write_json, write_yaml
 from fishrl.training.runs import make_folder
+from tests.modules.test_lateral_line import make as make_classifier
 from tests.training.conftest import read_rows
 
 ROOT = Path(__file__).parents[2]
@@ -152,8 +153,9 @@ def test_settings_that_an_algorithm_adapts_are_those_of_its_run(tmp_path: Path) 
 
 def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
     files = [tmp_path / name for name in "abc"]
-    for file, content in zip(files, (b"1", b"1", b"2"), strict=True):
-        file.write_bytes(content)
+    for file, width in ((files[0], 3), (files[2], 4)):
+        make_classifier(hidden=[width]).save(file)
+    files[1].write_bytes(files[0].read_bytes())
     begin(tmp_path, f"recognition={files[0]}")
     for file, is_same in zip(files, (True, True, False), strict=True):
         (job,) = plan_jobs([f"folder={tmp_path}", f"recognition={file}"])

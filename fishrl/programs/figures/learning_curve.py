@@ -51,10 +51,7 @@ def read_metrics(path: str | PathLike[str]) -> dict[str, tuple[Numbers, Numbers]
     series = {}
     for name in rows[0]:
         points = [(row[FRAMES], row[name]) for row in rows if row[name] and row[FRAMES]]
-        try:
-            values = np.array(points, dtype=np.float64).reshape(-1, 2)
-        except ValueError:
-            continue  # a column of words is nothing to plot
+        values = np.array(points, dtype=np.float64).reshape(-1, 2)
         values = values[np.isfinite(values).all(1)]
         series[name] = (values[:, 0], values[:, 1])
     return series

@@ -3,12 +3,14 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fishrl.files import staged
 from fishrl.viewer.film import STYLE
 
 __all__ = ["COLOURS", "STYLE", "panels", "tidy"]
@@ -45,4 +47,5 @@ def panels(
         for axes in grid.flat if has_grid else ():
             tidy(axes)
         yield grid
-        figure.savefig(path)
+        with staged(Path(path)) as stage:
+            figure.savefig(stage)

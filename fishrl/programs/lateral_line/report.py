@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from tensordict import TensorDict
 
+from fishrl.pages import write_table
 from fishrl.programs.figures.style import COLOURS, panels
 from fishrl.programs.lateral_line.fitting import Fit
-from fishrl.programs.pages import write_table
 
 _HEADS = ("classifier", "fitted", "held-out episodes", "samples", "epochs")
 

@@ -24,6 +24,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig
 
+from fishrl.children import make_environment
+from fishrl.files import make_folder
 from fishrl.programs.configuration import parse, run_hydra, split_options
 from fishrl.programs.program import set_up_logging, show_command
 from fishrl.programs.sweeps.ending import ending_runs, leave_ending_to_sweep
@@ -31,7 +33,7 @@ from fishrl.programs.sweeps.runs import Run, advise, count_frames, read_run
 from fishrl.programs.train_settings import TRAINING, TrainConfig
 from fishrl.training.interruption import SIGNALS
 from fishrl.training.progress import Progress
-from fishrl.training.run_folder import RunFolder
+from fishrl.training.run_folder import RunFolder, write_whole
 from fishrl.training.runs import find_result, find_run
 
 logger = logging.getLogger(__name__)
@@ -84,10 +86,8 @@ def sweep(arguments: Sequence[str]) -> None:
         launch, jobs = _plan(arguments)
     for job in jobs:
         find_result(job.settings)  # refuses settings that its run does not have
-    folder = Path(jobs[0].settings.folder).expanduser()
-    folder.mkdir(parents=True, exist_ok=True)
-    command = f"{show_command('train', *arguments)}\n"
-    (folder / "command.txt").write_text(command, encoding="utf-8")
+    folder = make_folder(Path(jobs[0].settings.folder).expanduser())
+    write_whole(folder / "command.txt", f"{show_command('train', *arguments)}\n")
     is_cut_off = False
     try:
         with ending_runs():
@@ -162,12 +162,14 @@ def run_job(job: Job) -> Run:
     run = read_run(path)
     if run.status == "running" or find_result(job.settings):
         return run
-    path.mkdir(parents=True, exist_ok=True)
+    make_folder(path)
     command = [sys.executable, "-m", "fishrl", "train", *job.words]
     with (
         Progress() as bar,
         (path / "output.log").open("ab") as output,
-        subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT) as child,
+        subprocess.Popen(
+            command, stdout=output, stderr=subprocess.STDOUT, env=make_environment()
+        ) as child,
     ):
         done = run.frames
         bar.on_phase(path.name, total=job.settings.total_frames, done=done)

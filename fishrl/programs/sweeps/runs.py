@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fishrl.files import check_names
+from fishrl.pages import show
 from fishrl.programs.configuration import quote
 from fishrl.programs.program import show_command
 from fishrl.training.logger import read_rows
@@ -55,7 +57,7 @@ def read_runs(folder: Path) -> list[Run]:
 
 def read_run(path: Path) -> Run:
     """Read one run; raise ValueError if its files are damaged."""
-    folder = RunFolder(path)
+    folder = RunFolder(check_names(path))
     summary: dict[str, Any] = {}
     config: dict[str, Any] = {}
     try:
@@ -71,7 +73,8 @@ def read_run(path: Path) -> Run:
         status = "running"
     elif folder.failure.is_file():
         lines = folder.failure.read_text(encoding="utf-8").strip().splitlines()
-        status, reason = "finished" if summary else "failed", lines[-1] if lines else "unknown"
+        status = "finished" if summary else "failed"
+        reason = show(lines[-1]) if lines else "unknown"
     return Run(
         path=path, status=status, reason=reason, frames=frames, config=config, summary=summary
     )

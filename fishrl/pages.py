@@ -1,0 +1,35 @@
+"""Tables in Markdown and CSV."""
+
+import csv
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from fishrl.files import staged
+
+
+def write_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a Markdown table, which ends with a newline; ``None`` is an empty cell.
+
+    Cells may be bold or code; links and HTML appear as they are written.
+    """
+    cells = [["" if cell is None else escape(str(cell)) for cell in row] for row in (heads, *rows)]
+    lines = [f"| {' | '.join(row)} |" for row in cells]
+    lines.insert(1, "|---" * len(heads) + "|")
+    return "\n".join(lines) + "\n"
+
+
+def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a CSV file."""
+    with staged(path) as stage, stage.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([heads, *rows])
+
+
+def escape(text: str) -> str:
+    """Return text for Markdown that is no link, no HTML and no cell of a table."""
+    return re.sub(r"[\\|<]|(?<=\])[(\[]", r"\\\g<0>", text)
+
+
+def show(text: str) -> str:
+    """Return text as one line, with an escape for what cannot be printed or controls a terminal."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
