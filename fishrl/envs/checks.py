@@ -96,10 +96,10 @@ def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None
         _require(task, "command frequency", False, frequency.tolist(), expected)
 
 
-def check_action(action: Tensor, mask: Tensor) -> None:
-    """Raise ValueError for the first action that its mask ``[..., num_actions]`` forbids.
+def check_action(action: Tensor, mask: Tensor) -> Tensor:
+    """Return actions as int64; raise ValueError for the first one that its mask forbids.
 
-    Actions are ``[B]``, or ``[B, M]`` of several fish.
+    The mask is ``[..., num_actions]``. Actions are ``[B]``, or ``[B, M]`` of several fish.
     """
     most = mask.shape[-1] - 1
     if action.shape != mask.shape[:-1] or action.is_floating_point():
@@ -108,6 +108,7 @@ def check_action(action: Tensor, mask: Tensor) -> None:
             f"action of shape {got}, {action.dtype}: must hold integers of shape {wanted}; "
             "make_env(transforms=[OneHotAction()]) takes one-hot actions"
         )
+    action = action.long()  # as an index, bytes would be a mask
     is_legal = mask.gather(-1, action.clamp(0, most).unsqueeze(-1)).squeeze(-1)
     is_legal = is_legal & (action >= 0) & (action <= most)
     if not is_legal.all():
@@ -117,6 +118,7 @@ def check_action(action: Tensor, mask: Tensor) -> None:
             f"action = {int(action[index])} in {where}: legal is {legal}; policies must "
             "honour 'action_mask', and random actions are legal in environments of make_env"
         )
+    return action
 
 
 def scale_action(action: Tensor, bounds: Sequence[tuple[float, float]]) -> Tensor:

@@ -34,6 +34,7 @@ from fishrl.envs.extensions import HasHistory, find_extension
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.specs import make_specs
 from fishrl.envs.task import AbstractTask
+from fishrl.physics.fast.checks import check_device
 from fishrl.physics.fast.solver import InPlaceSolver
 
 logger = logging.getLogger(__name__)
@@ -94,6 +95,7 @@ class FlowEnv(EnvBase):
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
+        check_device(device)
         super().__init__(device=device, batch_size=[num_envs])
         if starts is None:
             check_starts_of(task)
@@ -289,8 +291,7 @@ class FlowEnv(EnvBase):
         bounds = self.task.action_bounds
         if bounds is not None:
             return scale_action(action, bounds)
-        check_action(action, self.task.action_mask(self.now))
-        return action
+        return check_action(action, self.task.action_mask(self.now))
 
     def _read_inputs(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
         """Return the entries that the task reads in addition to the action."""

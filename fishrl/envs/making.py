@@ -1,6 +1,7 @@
 """Construction of an environment with the transforms that policies need."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -19,8 +20,22 @@ from fishrl.envs.agents import name_entry
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.task import AbstractTask
 from fishrl.envs.transforms import equip, make_labelling
+from fishrl.torch_state import in_own_state
 
 
+class StableEnv(TransformedEnv):
+    """TorchRL's environment with transforms, which torch's global state does not affect."""
+
+    @in_own_state
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        return super()._reset(tensordict, **kwargs)
+
+    @in_own_state
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return super()._step(tensordict)
+
+
+@in_own_state
 def make_env(
     *,
     task: AbstractTask,
@@ -55,7 +70,7 @@ def make_env(
         name_entry(task, name)
         for name in ("observation", "observation_stack", "action", "action_mask")
     )
-    env = TransformedEnv(
+    env = StableEnv(
         FlowEnv(
             task=task,
             num_envs=num_envs,

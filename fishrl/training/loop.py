@@ -7,6 +7,7 @@ import random
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from tensordict import TensorDictBase
 from fishrl.envs.agents import split_fish
 from fishrl.envs.episodes import Episodes, Policy, name_counted, run_episodes
 from fishrl.settings import describe
+from fishrl.torch_state import with_own_state
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
@@ -31,6 +33,7 @@ from fishrl.training.run_folder import RunFolder, write_json
 logger = logging.getLogger(__name__)
 
 
+@partial(with_own_state, is_learning=True)
 class Training:
     """One run: collect, update, evaluate and save until ``total_frames`` is reached.
 

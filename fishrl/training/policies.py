@@ -10,6 +10,8 @@ from tensordict.nn import TensorDictModuleBase
 from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.episodes import Policy, run_episodes
 from fishrl.envs.transforms import equip
+from fishrl.physics.fast.checks import check_device
+from fishrl.torch_state import in_own_state
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import load_checkpoint, read_metadata
@@ -17,7 +19,6 @@ from fishrl.training.classifier import Recognition, find_classifier, load_recogn
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.settings import check_device
 
 
 def load_plan(checkpoint: str | Path) -> tuple[Path, Plan]:
@@ -29,6 +30,7 @@ def load_plan(checkpoint: str | Path) -> tuple[Path, Plan]:
     return path, Plan.from_config(metadata["config"])
 
 
+@in_own_state
 def load_policy(
     checkpoint: str | Path,
     *,
@@ -87,6 +89,7 @@ def prepare(
     return task, labels, policy
 
 
+@in_own_state
 def evaluate(
     policy: str | Path | Policy,
     *,

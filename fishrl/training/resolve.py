@@ -12,11 +12,11 @@ from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.transforms import equip
 from fishrl.extras import show_install
 from fishrl.memory import check_memory
+from fishrl.physics.fast.checks import check_device
 from fishrl.training.baselines import choose_baselines
 from fishrl.training.classifier import load_recognition
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.settings import check_device
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,6 @@
 
 from typing import Annotated
 
-import torch
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from fishrl.settings import Role, Settings
@@ -92,15 +91,3 @@ class RunSettings(Settings):
     def policy_device(self) -> str:
         """Device of networks and replay buffer."""
         return self.learner_device or self.device
-
-
-def check_device(device: str) -> None:
-    """Raise ValueError unless this machine has a device: ``cpu``, ``cuda``, ``cuda:<number>``."""
-    num_devices = torch.cuda.device_count()
-    known = ["cpu", *["cuda"][:num_devices], *(f"cuda:{i}" for i in range(num_devices))]
-    if device not in known:
-        raise ValueError(
-            f"device = {device!r}: must be cpu, cuda or cuda:<number>, and torch sees "
-            f"{num_devices} CUDA devices here; take device=cpu, or install a CUDA build of torch "
-            "and its driver"
-        )

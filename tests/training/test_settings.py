@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
+from fishrl.physics.fast.checks import check_device
 from fishrl.settings import list_fields
-from fishrl.training.settings import LearningSettings, RunSettings, check_device
+from fishrl.training.settings import LearningSettings, RunSettings
 
 
 def test_no_setting_belongs_to_both_classes() -> None:

@@ -55,3 +55,15 @@ def read_frequency(frequency: float | Tensor, configs: Sequence[FlowConfig]) -> 
         for body in config.bodies:
             body.check_speed(own)
     return value
+
+
+def check_device(device: torch.device | str) -> None:
+    """Raise ValueError unless this machine has a device: ``cpu``, ``cuda``, ``cuda:<number>``."""
+    num_devices = torch.cuda.device_count()
+    known = ["cpu", *["cuda"][:num_devices], *(f"cuda:{i}" for i in range(num_devices))]
+    if str(device) not in known:
+        raise ValueError(
+            f"device = {str(device)!r}: must be cpu, cuda or cuda:<number>, and torch sees "
+            f"{num_devices} CUDA devices here; take device=cpu, or install a CUDA build of torch "
+            "and its driver"
+        )

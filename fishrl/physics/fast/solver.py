@@ -12,7 +12,7 @@ from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.fast.batch import set_rows_
-from fishrl.physics.fast.checks import check_tensor, read_frequency
+from fishrl.physics.fast.checks import check_device, check_tensor, read_frequency
 from fishrl.physics.fast.execution import Execution
 from fishrl.physics.fast.part import Part
 from fishrl.physics.flow import (
@@ -25,10 +25,12 @@ from fishrl.physics.flow import (
 from fishrl.physics.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
 from fishrl.physics.placement import check_placement, lies_inside, spread_starts
+from fishrl.torch_state import with_own_state
 
 logger = logging.getLogger(__name__)
 
 
+@with_own_state
 class InPlaceSolver:
     """A batch of flows and the bodies in them, advanced in place.
 
@@ -57,6 +59,7 @@ class InPlaceSolver:
         num_workers: int | None = None,
         flows_per_launch: int | None = None,
     ) -> None:
+        check_device(device)
         device = torch.device(device)
         configs = list_configs(config, num_envs, device)
         torch.set_flush_denormal(True)  # still water decays into denormals, which are slow
