@@ -13,7 +13,7 @@ MAX_LINES = 400
 
 TENSORS = {
     *("torch", "tensordict", "numpy", "pydantic"),
-    *("fishrl.children", "fishrl.files", "fishrl.memory", "fishrl.settings"),
+    *("fishrl.children", "fishrl.files", "fishrl.memory", "fishrl.settings", "fishrl.torch_state"),
 }
 #: Of the programs, which nothing in the library imports.
 PROGRAMS = TENSORS | {
@@ -34,6 +34,7 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/pages.py", {"fishrl.files"}),
     ("fishrl/extras.py", {"packaging"}),
     ("fishrl/memory.py", {"torch"}),
+    ("fishrl/torch_state.py", {"torch"}),
     ("fishrl/physics/fast/triton_coupling.py", {"torch", "triton"}),
     # bodies know nothing of flows
     ("fishrl/physics/bodies/", TENSORS | {"fishrl.physics.bodies", "fishrl.physics.lattice"}),
