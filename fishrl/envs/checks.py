@@ -1,7 +1,6 @@
 """Checks of what the methods of a task return, so that errors surface early."""
 
 from collections.abc import Sequence
-from math import pi
 from typing import Any
 
 import torch
@@ -10,8 +9,8 @@ from torch import Tensor
 
 from fishrl.envs.agents import shape_fish
 from fishrl.envs.task import AbstractTask, Command
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
-MAX_TURN = 2.0 * pi  # radians in one control interval
 NUM_STARTS = 256
 
 
@@ -78,7 +77,7 @@ def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None
     _require(task, "command", isinstance(order, Command), order, expected)
     turn = check_rows(task, "command turn", order.turn, rows)
     fastest = task.max_frequency / task.scales.period * (1.0 + 1e-9)
-    turns = turn.abs() <= MAX_TURN
+    turns = turn.abs() <= task.largest_turn
     beats = shares = torch.ones_like(turns)
     if order.frequency is not None:
         frequency = check_rows(task, "command frequency", order.frequency, rows)
@@ -88,7 +87,9 @@ def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None
         shares = (amplitude >= 0.0) & (amplitude <= 1.0)
     if not (turns & beats & shares).all():
         if not turns.all():
-            _require(task, "command turn", False, turn.tolist(), "radians, at most 2 pi")
+            most = f"at most {task.largest_turn:.3g} radians: nose and tail would move at more than"
+            expected = f"{most} {MAX_IMPOSED_SPEED} nodes per step"
+            _require(task, "command turn", False, turn.tolist(), expected)
         if not shares.all():
             _require(task, "command amplitude", False, amplitude.tolist(), "0 to 1")
         beats_T = f"max_frequency = {task.max_frequency:g} per T"

@@ -26,6 +26,7 @@ from fishrl.envs.starts import check_fit, check_pattern, place_fish
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import Coupling, FlowConfig
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 from fishrl.physics.units import DEFAULT_WALL_SPEED, Scales
 from fishrl.settings import Settings
 
@@ -188,6 +189,15 @@ class AbstractTask(Settings, ABC):
         It assumes that swimming at most doubles the speed of the tail.
         """
         return 2.0 * self.scales.tail_speed
+
+    @property
+    def largest_turn(self) -> float:
+        """Largest turn of an action, radians.
+
+        A turn is twice as fast at its middle as on average; at this one it moves nose and tail at
+        the largest speed that the method allows.
+        """
+        return MAX_IMPOSED_SPEED * self.n_substeps / self.body_length
 
     def flow_config(self) -> FlowConfig:
         """Return the flow; the default is a closed tank of still water."""

@@ -15,7 +15,7 @@ from tests.envs.conftest import SMALL
 from tests.envs.test_real_flow import TINY
 
 #: Actions of a few steps.
-BRIEF: dict[str, Any] = {"control_interval_T": 0.1, "checks_per_action": 4}
+BRIEF: dict[str, Any] = {"control_interval_T": 0.25, "checks_per_action": 10}
 #: A stream with room for nothing but a fish.
 CHANNEL: dict[str, Any] = BRIEF | {
     "body_length": 20,
@@ -33,6 +33,7 @@ WRITTEN = {
     "tutorials/cylinder.md": ["cylinder.png", "two_cylinders.png"],
     "tutorials/fish_in_a_stream.md": ["fish_in_a_stream.png"],
     "gymnasium.md": ["fish.zip"],
+    "tutorials/new_task.md": ["runs"],
 }
 
 

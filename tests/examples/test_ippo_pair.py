@@ -11,7 +11,7 @@ from fishrl.envs import PredationPair, make_env
 from tests.envs.conftest import SMALL
 
 pytestmark = pytest.mark.usefixtures("kinematic")
-BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.1, "checks_per_action": 2}
+BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.25, "checks_per_action": 6}
 
 
 @pytest.mark.parametrize("is_central", [False, True])

@@ -1,7 +1,7 @@
 """Predation, the paper's first task: catch moving food without touching a wall."""
 
 from functools import cached_property
-from math import ceil, floor, pi, radians
+from math import ceil, degrees, floor, pi, radians
 from typing import Annotated, ClassVar, Literal, final
 
 import torch
@@ -15,6 +15,7 @@ from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, sense_target
 from fishrl.envs.task import AbstractTask, Command
 from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 #: Probability that the food first moves up.
 CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
@@ -64,6 +65,13 @@ class AbstractPredation(AbstractTask, HasScene):
         super().__post_init__()
         if self.is_continuous and not self.turn_degrees:
             raise ValueError("turn_degrees = 0: a continuous action needs one greater than 0")
+        if radians(self.turn_degrees) > self.largest_turn:
+            raise ValueError(
+                f"turn_degrees = {self.turn_degrees:g} within control_interval_T = "
+                f"{self.control_interval_T:g}: nose and tail would move at more than "
+                f"{MAX_IMPOSED_SPEED} nodes per step, allowed is {degrees(self.largest_turn):.3g}; "
+                "turn less, raise the interval, or lower max_wall_speed"
+            )
         low, high = self.food_limits_bl
         width, height = self.domain_bl
         if not 0.0 < low <= self.food_y_bl <= high < height or low == high:

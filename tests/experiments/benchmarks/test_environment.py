@@ -7,7 +7,7 @@ from fishrl.training.settings import LearningSettings
 from tests.envs.test_real_flow import TINY
 
 SETTINGS = BenchmarkSettings()
-TASK = Predation(**TINY | {"control_interval_T": 0.05, "checks_per_action": 2})  # few steps
+TASK = Predation(**TINY | {"control_interval_T": 0.2, "checks_per_action": 5})  # few steps
 
 
 def test_a_part_of_an_action_is_spent_outside_the_flow() -> None:
