@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from fishrl.envs import KarmanGait
-from fishrl.programs import evaluate, train, train_lateral_line
-from fishrl.programs.configuration import parse, quote
+from fishrl.programs import evaluate, summarize, train, train_lateral_line
+from fishrl.programs.configuration import quote
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.run_folder import write_yaml
 
@@ -137,10 +138,27 @@ def test_a_resume_of_no_run_or_of_several_is_an_error(tmp_path: Path) -> None:
     check("not the configuration of a run")
 
 
-@pytest.mark.parametrize(
-    "folder",
-    ["runs/x", "x", "runs/try (2)", "it's/x", "/home/josé/a=1", "[x]/a,b", "a/b c", "null"],
-)
-def test_a_quoted_folder_is_read_as_it_is(folder: str) -> None:
-    (override,) = parse([f"resume={quote(folder)}"])
-    assert str(override.value()) == folder
+def draw_words(letters: str, num: int) -> list[str]:
+    draw = random.Random(0)
+    return ["".join(draw.choices(letters, k=draw.randint(1, 7))) for _ in range(num)]
+
+
+def test_a_quoted_word_is_read_as_it_is() -> None:
+    for word in ["null", "1e3", "~/x", *draw_words("ab1 '\"\\${}[](),:=~#%?/é|&<>@*", 30)]:
+        assert read([f"folder={quote(word)}"]).folder == word
+
+
+def test_paths_and_names_that_are_typed_are_words() -> None:
+    for word in [
+        "1e3",
+        "true",
+        "0x1",
+        "o'brien",
+        "[x]/é",
+        *draw_words("ab1'\".%?/é|&<>@*=;!#", 60),
+    ]:
+        (value, *_), name = read([f"baselines=[{word}x]", f"name={word}x"]).baselines, f"{word}x"
+        assert value == name
+        assert read([f"folder={word}"]).folder == word
+    assert read(["folder=~/x"]).folder == str(Path.home() / "x")
+    assert summarize.main.read(["runs/a=1"]).folder == "runs/a=1"

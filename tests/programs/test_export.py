@@ -51,8 +51,9 @@ def test_xarray_reads_netcdf_and_zarr(flow: xr.Dataset, tmp_path: Path) -> None:
 
 
 def test_vtk_reads_the_flow_and_the_bodies(flow: xr.Dataset, tmp_path: Path) -> None:
-    write_vtk(flow, tmp_path / "flow.pvd")
-    reader = pv.get_reader(tmp_path / "flow.pvd")
+    path = tmp_path / """R&D "é" <x='1'>.pvd"""
+    write_vtk(flow, path)
+    reader = pv.get_reader(path)
     assert reader.time_values == pytest.approx(flow["time"].values.tolist())
     reader.set_active_time_value(reader.time_values[-1])
     image, fish = reader.read()

@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
+import random
+import re
+import subprocess
+import sys
+from collections.abc import Callable
 from copy import deepcopy
-from functools import cache
-from itertools import product
+from functools import cache, reduce
+from itertools import cycle, product
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from markdown_it import MarkdownIt
 
+from fishrl.children import make_environment
+from fishrl.pages import write_table
 from fishrl.programs import evaluate, export, export_data, export_policy, train, transfer, view
 from fishrl.programs.program import Program
 from fishrl.programs.summarize import summarize
-from fishrl.programs.train_settings import TRAINING
+from fishrl.programs.train_settings import TRAINING, TrainConfig, read_resumed
+from fishrl.settings import TARGET, flatten
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.run_folder import RunFolder, write_yaml
+from fishrl.training.run_folder import RunFolder, read_config, write_yaml
 
 PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
     "evaluate": (evaluate.main, ("checkpoint={run}", "task.time_limit=3", "compile=false")),
     "view": (view.main, ("checkpoint={run}", "save={run}/x.rrd", "compile=false")),
     "resume": (train.main, ("resume={run}",)),
+    "own files": (train.main, ("resume={run}", "--config-dir={run}/..")),
     "train": (train.main, ("task=karman_gait", "folder={run}/..", "name=run")),
     "sweep": (train.main, ("--multirun", "task=karman_gait", "folder={run}/..")),
     "transfer": (transfer.main, ("runs=[{run}]", "baselines=[]", "folder={run}/transfer")),
@@ -31,7 +41,7 @@ PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
     "export_data": (export_data.main, ("checkpoint={run}", "name=a/b-v0", "folder={run}/data")),
 }
 KINDS = ("task", "nested", "module", "algorithm", "logger")
-WHOLE = ("resume", "train", "sweep")  # which read all settings of the run
+WHOLE = ("resume", "own files", "train", "sweep")  # which read all settings of the run
 CASES = [
     *product(WHOLE, KINDS),
     *product((name for name in PROGRAMS if name not in WHOLE), ("task", "module")),
@@ -102,12 +112,75 @@ def test_a_summary_neither_imports_nor_advises_to_import_what_a_run_names(
     assert mark.exists()  # named by the user
 
 
-def test_interpolations_in_a_stored_run_are_not_resolved(
+#: Values that mean something to hydra, a terminal, Markdown and HTML, YAML, or us.
+ODD = (
+    *("${oc.env:SECRET}", "${seed}", "a\x1b[31m", "b\nc", "\u202ed", "<script>|[x](y)", "```"),
+    *({TARGET: "planted.Task"}, {TARGET: "os.system", "command": "touch mark"}, ["${seed}"]),
+)
+
+
+def test_no_setting_of_a_stored_run_is_imported_resolved_or_printed_as_it_is(
     tmp_path: Path, mark: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("SECRET", "s3cret")
+    plain = compose().to_config()
+    for name in ("plain", "run"):
+        (tmp_path / name).mkdir()
+        write_yaml(tmp_path / name / "config.yaml", plain)
+    for key, value in zip(flatten(plain), cycle(ODD), strict=False):
+        config = deepcopy(plain)
+        *path, last = key.split(".")
+        reduce(dict.__getitem__, path, config)[last] = value
+        write_yaml(tmp_path / "run" / "config.yaml", config)
+        said = [_try(lambda: read_stored(tmp_path / "run")), _try(lambda: summarize(tmp_path))]
+        lines = "\n".join(said).split("\n")
+        assert all(line.isprintable() and "s3cret" not in line for line in lines)
+        text = (tmp_path / "summary.md").read_text()
+        page = MarkdownIt("commonmark").enable("table").render(text)
+        assert "<script" not in page and "href" not in page
+    assert not mark.exists()
+
+
+def read_stored(run: Path) -> str:
+    """Return the stored settings that the user's own words would be compared with."""
+    plan = TrainConfig.from_config(read_config(run / "config.yaml"))
+    stored = flatten(read_resumed({"resume": str(run)}))
+    for key, value in flatten(plan.to_config()).items():
+        assert stored[key] == (value if key != "live" else False)
+    return ""
+
+
+def _try(act: Callable[[], str]) -> str:
+    """Return what a call returns, or the message of its error."""
+    try:
+        return act()
+    except ValueError as error:
+        return str(error)
+
+
+def test_a_child_imports_nothing_from_the_working_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("rerun", "fishrl", "yaml", "json")
+    for name in names:
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('planted')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
+    code = "; ".join(f"import {name}" for name in names)
+    for words in (("-c", code), ("-m", "fishrl", "--help"), ("-m", "rerun", "--version")):
+        subprocess.run([sys.executable, *words], env=make_environment(), check=True)
+
+
+def test_words_in_a_table_are_neither_cells_nor_links_nor_html() -> None:
+    draw = random.Random(0)
+    for _ in range(200):
+        word = "".join(draw.choices("ab|<>[]()!\\/&;:`", k=8)).strip()
+        page = MarkdownIt("commonmark").enable("table").render(write_table(["x", "y"], [[word, 1]]))
+        tags = set(re.findall(r"<(\w+)", page)) - {"code"}
+        assert tags == {"table", "thead", "tbody", "tr", "th", "td"}
+        assert page.count("<td>") == 2
+
+
+def test_what_the_user_types_is_resolved(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SECRET", "x")
-    config = compose().to_config() | {"folder": "${oc.env:SECRET}", "baselines": ["${seed}"]}
-    write_yaml(tmp_path / "config.yaml", config)
-    settings = TRAINING.read([f"resume='{tmp_path}'"])
-    assert (settings.folder, settings.baselines) == ("${oc.env:SECRET}", ("${seed}",))
-    assert TRAINING.read(["folder=${oc.env:SECRET}"]).folder == "x"  # typed by the user
+    assert TRAINING.read(["folder=${oc.env:SECRET}"]).folder == "x"

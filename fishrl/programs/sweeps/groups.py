@@ -36,11 +36,11 @@ class Group:
     @property
     def seeds(self) -> list[Run]:
         """One run per seed, the one with the most frames; repetitions add no information."""
-        best: dict[Any, Run] = {}
+        best: dict[str, Run] = {}
         for run in self.runs:
-            known = best.setdefault(run.config.get("seed"), run)
+            known = best.setdefault(run.seed, run)
             if (run.status == "finished", run.frames) > (known.status == "finished", known.frames):
-                best[run.config.get("seed")] = run
+                best[run.seed] = run
         return list(best.values())
 
     @property
@@ -48,11 +48,9 @@ class Group:
         """The runs that count in the tables."""
         return [run for run in self.seeds if run.status == "finished"]
 
-    def by_seed(self, name: str) -> dict[Any, float]:
+    def by_seed(self, name: str) -> dict[str, float]:
         """Return an entry of the summaries of the finished runs by seed, where it is a number."""
-        entries: dict[Any, Any] = {
-            run.config.get("seed"): run.summary.get(name) for run in self.finished
-        }
+        entries: dict[str, Any] = {run.seed: run.summary.get(name) for run in self.finished}
         return {seed: float(value) for seed, value in entries.items() if is_number(value)}
 
     def numbers(self, name: str) -> list[float]:

@@ -25,6 +25,11 @@ class Run:
     config: dict[str, Any]  #: its settings; empty if they could not be made
     summary: dict[str, Any]  #: results of a finished run; otherwise empty
 
+    @property
+    def seed(self) -> str:
+        """Its seed as a word."""
+        return str(self.config.get("seed", ""))
+
 
 def show_resume(path: Path, modules: Sequence[str] = ()) -> str:
     """Return the command that resumes a run, with modules that the user has named."""
