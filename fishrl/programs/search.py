@@ -9,12 +9,13 @@ first; started several times at once, it searches with several processes.
 
 import fcntl
 import logging
+import sqlite3
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote as quote_url
 
 from hydra.core.override_parser.types import IntervalSweep
 from pydantic import PositiveInt
@@ -107,8 +108,9 @@ def open_study(settings: SearchSettings) -> Any:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     folder, space = settings.path, settings.space()
     file = make_folder(folder).resolve() / "study.db"
+    connect = {"creator": partial(sqlite3.connect, file)}  # a URL would read %, ? and # in a path
     study = optuna.create_study(
-        storage=f"sqlite:///file:{quote_url(str(file))}?uri=true",
+        storage=optuna.storages.RDBStorage("sqlite://", engine_kwargs=connect),
         study_name="search",
         direction="minimize" if settings.minimize else "maximize",
         load_if_exists=True,

@@ -195,7 +195,7 @@ def write_csv_files(groups: Sequence[Group], folder: Path) -> None:
     rows = []
     for group in groups:
         for run in group.runs:
-            row = [run.path.name, *group.settings.values(), run.seed]
+            row: list[Any] = [run.path.name, *group.settings.values(), run.seed]
             row += [run.status, run.reason, *(run.summary.get(name) for name in names)]
             rows.append(row)
     write_csv(folder / "runs.csv", ["run", *keys, "seed", "status", "reason", *names], rows)

@@ -100,6 +100,17 @@ def test_a_trial_that_was_cut_off_is_finished_before_new_ones(
         search.run_seed(plan_of(tmp_path, *line, metric="mean_retrun"), 0, [gamma], 0)
 
 
+def test_a_stored_trial_of_another_search_is_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = plan_of(tmp_path / "50%20 what?{x}#é", "gamma=interval(0,1)", trials=1)
+    study = search.open_study(plan)
+    study.ask({"gamma": optuna.distributions.CategoricalDistribution(["{_target_: planted.X}"])})
+    monkeypatch.setattr(search, "run_seed", lambda *_: pytest.fail("run"))
+    assert [trial.state.name for trial in search.search(plan).trials] == ["FAIL"]
+    assert [path.name for path in tmp_path.iterdir()] == [plan.path.name]
+
+
 def test_a_search_that_is_ended_saves_its_trial_and_leaves_it_unfinished(
     tmp_path: Path,
 ) -> None:
