@@ -24,6 +24,7 @@ from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.physics.diagnostics import find_crossings, measure_cycles
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
+from fishrl.physics.lattice import Q
 from fishrl.settings import Settings
 
 logger = logging.getLogger(__name__)
@@ -80,8 +81,10 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path) -> WakeBank:
     path = Path(folder).expanduser() / f"wakes-{recipe.key}.pt"
     names = ("populations", "shedding_frequencies")
     if path.is_file():
-        content = load_tensors(path, what="wakes", remedy="delete the file", entries=names)
-        return WakeBank(**content)
+        num, size = len(recipe.speeds), (recipe.config.height, recipe.config.width)
+        found = (f"float32 {[num, recipe.num_phases, Q, *size]}", f"float64 {[num]}")
+        like = dict(zip(names, found, strict=True))
+        return WakeBank(**load_tensors(path, what="wakes", remedy="delete the file", like=like))
     logger.info("developing %d wakes; they will be stored in %s", len(recipe.speeds), path)
     bank = develop_wakes(recipe)
     path.parent.mkdir(parents=True, exist_ok=True)

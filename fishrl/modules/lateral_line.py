@@ -14,13 +14,16 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from fishrl.files import load_tensors, staged
+from fishrl.files import find_misfit, load_tensors, staged
 from fishrl.modules.actors import make_mlp
+from fishrl.settings import build
 
 #: Features of the paper that give time and position instead of the flow.
 BOOKKEEPING = ("t", "x", "y")
 _FORMAT = "fishrl lateral-line machine, 1"  # the files' name for the classifier
 _SENSOR_KEYS = ("num_neuromasts", "features", "num_samples")
+#: Parameters of a flow or of the lateral line, by name.
+Parameters = Mapping[str, str | bool | int | float | Sequence[str | int | float] | None]
 
 
 class LateralLineClassifier(nn.Module):
@@ -50,8 +53,8 @@ class LateralLineClassifier(nn.Module):
     def __init__(
         self,
         *,
-        flows: Sequence[Mapping[str, Any]],
-        sensors: Mapping[str, Any],
+        flows: Sequence[Parameters],
+        sensors: Parameters,
         features: Sequence[str] | None = None,
         num_samples: int | None = None,
         hidden: Sequence[int] = (64, 64),
@@ -63,20 +66,20 @@ class LateralLineClassifier(nn.Module):
         names = [flow.get("name") for flow in flows]
         if len(names) < 2 or None in names or len(set(names)) < len(names):
             raise ValueError(f"flows must be two or more, with unique names; got {names}")
-        known = list(sensors["features"])
+        self.flows: list[dict[str, Any]] = [dict(flow) for flow in flows]
+        self.sensors: dict[str, Any] = dict(sensors)
+        known = self.sensors["features"] = list(self.sensors["features"])
         if features is None:
             features = [name for name in known if name not in BOOKKEEPING]
         if not features or not set(features) <= set(known):
             raise ValueError(f"features = {list(features)}: give one or more of {known}")
-        self.flows = [dict(flow) for flow in flows]
-        self.sensors = {**sensors, "features": known}
         self.features = list(features)
-        self.num_samples = int(sensors["num_samples"] if num_samples is None else num_samples)
+        self.num_samples = int(self.sensors["num_samples"] if num_samples is None else num_samples)
         self.hidden = list(hidden)
         if self.num_samples < 1:
             raise ValueError(f"num_samples = {num_samples}: must be at least 1")
         self._columns = [known.index(name) for name in self.features]
-        shape = (int(sensors["num_neuromasts"]), len(self.features))
+        shape = (int(self.sensors["num_neuromasts"]), len(self.features))
         self.register_buffer("mean", torch.zeros(shape))
         self.register_buffer("scale", torch.ones(shape))
         widths = [self.num_samples * self.mean.numel(), *hidden, len(self.flows)]
@@ -148,15 +151,20 @@ class LateralLineClassifier(nn.Module):
     def load(cls, path: str | Path) -> "LateralLineClassifier":
         """Read a classifier, on the CPU and in ``eval`` mode; raise ValueError for other files."""
         what, remedy = "lateral-line classifier", "write one with fishrl train-lateral-line"
-        entries = ("format", "settings", "state")
-        content = load_tensors(path, what=what, remedy=remedy, entries=entries)
-        if content["format"] != _FORMAT:
-            raise ValueError(f"{what} {path}: the file holds something else; {remedy}")
+        content = load_tensors(path, what=what, remedy=remedy)
         try:
-            classifier = cls(**content["settings"])
-            classifier.load_state_dict(content["state"])
-        except (TypeError, RuntimeError) as error:
-            raise ValueError(f"{what} {path}: the file does not fit; {remedy}") from error
+            if content["format"] != _FORMAT:
+                raise ValueError("it has another format")
+            with torch.device("meta"):  # sizes in a file may be of any size
+                classifier = build(cls, content["settings"])
+            own = classifier.state_dict().items()
+            like = {name: f"float32 {list(tensor.shape)}" for name, tensor in own}
+            if problem := find_misfit(content["state"], like):
+                raise ValueError(problem)
+        except Exception as error:  # settings of other types raise any
+            said = " ".join(str(error).split())
+            raise ValueError(f"{what} {path}: the file does not fit ({said}); {remedy}") from error
+        classifier.load_state_dict(content["state"], assign=True)
         return classifier.eval()
 
 

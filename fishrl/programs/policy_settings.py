@@ -103,5 +103,5 @@ def read_task(given: Node) -> Node:
     trained = metadata["config"]
     found: dict[str, Any] = {"recognition": find_classifier(trained.get("recognition"), path)}
     if not {"task", "preset"} & set(given):
-        found |= {"task": trained["task"], "preset": trained["preset"]}
+        found |= {name: trained[name] for name in ("task", "preset") if name in trained}
     return found

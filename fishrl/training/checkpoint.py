@@ -2,8 +2,8 @@
 
 A checkpoint is a folder that TorchRL's ``Checkpoint`` writes, ``manifest.json`` with metadata and
 one ``state.pt`` per component, and ``SHA256SUMS`` of all these files (``sha256sum -c`` reads it).
-Loading runs no code from it: each state is read from that one file with ``weights_only=True``,
-after its checksum and that of the manifest were compared.
+Loading runs no code from it: each state is read from that one file, see ``load_tensors``, after its
+checksum and that of the manifest were compared.
 """
 
 import hashlib
@@ -11,19 +11,43 @@ import os
 import shutil
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
+from pydantic import Field, PositiveInt
+from torch import nn
+from torchrl.checkpoint import Checkpoint, StateDictCheckpointAdapter
 
+from fishrl.files import describe_tensor, load_tensors
+from fishrl.training.plain_files import Count, Stored, Tree, read_plain
 from fishrl.training.policy_spec import CHECKED, PolicySpec
 from fishrl.training.policy_zoo import find_folder
 from fishrl.training.run_folder import adopt_config, refuse_many
 
 SUMS = "SHA256SUMS"
-#: Exceptions that reading a damaged checkpoint may raise.
-_DAMAGE = (CheckpointError, OSError, RuntimeError, ValueError, LookupError, TypeError)
-#: Entries of the metadata.
-_METADATA = {*CHECKED, "preset", "frames", "config"}
+
+
+class _Metadata(Stored, extra="forbid"):
+    task: str
+    is_continuous: bool
+    num_inputs: PositiveInt
+    num_stacked: PositiveInt
+    num_actions: PositiveInt
+    preset: str | None
+    frames: Count
+    config: Tree
+
+
+class _Component(Stored):
+    path: Annotated[str, Field(pattern=r"^components/[\w-]+$")]
+
+
+class _Manifest(Stored):
+    """What is read of TorchRL's ``manifest.json``."""
+
+    format: Literal["torchrl.checkpoint"]
+    format_version: Literal[1]
+    components: dict[str, _Component]
+    metadata: _Metadata
 
 
 class CheckpointNotWritten(OSError):
@@ -59,7 +83,10 @@ def save_checkpoint(
         if fresh.exists() and not path.exists():  # killed between the renames: it is the newest
             os.replace(fresh, path)
         _clear(path)
-        _register(components).save(stage, metadata=metadata)
+        checkpoint = Checkpoint()
+        for name, component in components.items():
+            checkpoint.register(name, component, adapter=StateDictCheckpointAdapter("torch"))
+        checkpoint.save(stage, metadata=metadata)
         files = [file for file in sorted(stage.rglob("*")) if file.is_file()]
         lines = [f"{_sum(file)}  {file.relative_to(stage).as_posix()}\n" for file in files]
         (stage / SUMS).write_text("".join(lines), encoding="utf-8")
@@ -100,12 +127,11 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
             "checkpoints/best and checkpoints/last"
         )
     try:
-        metadata = Checkpoint.manifest(found)["metadata"]
-        if not isinstance(metadata, dict) or set(metadata) != _METADATA:
-            raise CheckpointError("its metadata are not those of a run")
+        manifest = _read_manifest(found)
         _check_files(found, ["manifest.json"])
+        metadata = manifest.metadata.model_dump()
         return found, {**metadata, "config": adopt_config(metadata["config"])}
-    except (*_DAMAGE, AttributeError) as error:
+    except (OSError, ValueError) as error:
         raise _corrupt(found, error) from error
 
 
@@ -125,33 +151,35 @@ def load_checkpoint(
     found, metadata = read_metadata(path, which=which)
     spec.check(metadata, path=found)
     try:
-        stored = Checkpoint.manifest(found)["components"]
-        _check_files(found, [f"{stored[name]['path']}/state.pt" for name in components])
-        _register(components).load(found, map_location=device)
-    except _DAMAGE as error:
+        stored = _read_manifest(found).components
+        files = {name: f"{stored[name].path}/state.pt" for name in components}
+        _check_files(found, files.values())
+        for name, component in components.items():
+            own = component.state_dict() if isinstance(component, nn.Module) else {}
+            like = {key: describe_tensor(value) for key, value in own.items()}
+            remedy = "it is of another version, or its training diverged"
+            path = found / files[name]
+            state = load_tensors(path, what=name, remedy=remedy, like=like or None, device=device)
+            component.load_state_dict(state)
+    except Exception as error:  # states of other versions raise any
         raise _corrupt(found, error) from error
     return metadata
 
 
-def _register(components: Mapping[str, Any]) -> Checkpoint:
-    checkpoint = Checkpoint()
-    for name, component in components.items():
-        checkpoint.register(name, component, adapter=StateDictCheckpointAdapter("torch"))
-    return checkpoint
+def _read_manifest(path: Path) -> _Manifest:
+    manifest: _Manifest = read_plain(path / "manifest.json", _Manifest, what="a manifest")
+    return manifest
 
 
 def _check_files(folder: Path, names: Collection[str]) -> None:
-    """Compare files with their checksums; a missing one counts as damage.
-
-    TorchRL would read other formats in place of a missing file.
-    """
+    """Compare files with their checksums; a missing one counts as damage."""
     lines = (folder / SUMS).read_text(encoding="utf-8").split("\n")
     sums = {name: value for value, _, name in (line.partition("  ") for line in lines)}
     for name in names:
         if not (folder / name).is_file():
-            raise CheckpointError(f"{name} is missing")
+            raise ValueError(f"{name} is missing")
         if sums.get(name) != _sum(folder / name):
-            raise CheckpointError(f"{name} has changed since it was written")
+            raise ValueError(f"{name} has changed since it was written")
 
 
 def _sum(file: Path) -> str:
@@ -197,8 +225,8 @@ def _list_older(path: Path) -> list[Path]:
 
 def _read_frames(path: Path) -> int | None:
     try:
-        return int(Checkpoint.manifest(path)["metadata"]["frames"])
-    except _DAMAGE:
+        return _read_manifest(path).metadata.frames
+    except (OSError, ValueError):
         return None
 
 
@@ -223,7 +251,7 @@ def _not_written(path: Path, error: Exception) -> CheckpointNotWritten:
 
 
 def _corrupt(path: Path, reason: object) -> ValueError:
-    older = [place.name for place in _list_older(path)]
+    older, reason = [place.name for place in _list_older(path)], " ".join(str(reason).split())
     remedy = f"; or delete it, and {older[0]} takes its place" if older else ""
     return ValueError(
         f"checkpoint {path}: corrupt or not a checkpoint ({reason}); use another one, such as "

@@ -5,15 +5,21 @@ import io
 import logging
 import math
 import os
+import re
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from fishrl.settings import describe
-from fishrl.training.run_folder import check_words, write_whole
+from fishrl.training.plain_files import check_words
+from fishrl.training.run_folder import write_whole
 
 logger = logging.getLogger(__name__)
+
+
+#: A number or a blank.
+_CELL = re.compile(r"(-?(\d+(\.\d+)?(e[+-]\d+)?|inf))?", re.ASCII)
 
 
 def read_rows(path: Path, *, step: str = "frames") -> list[dict[str, str]]:
@@ -37,22 +43,14 @@ def read_rows(path: Path, *, step: str = "frames") -> list[dict[str, str]]:
             for row in lines:
                 if problem:
                     raise ValueError(problem)
-                if not _is_row(row) or not row[step].isdigit():
+                is_whole = all(_CELL.fullmatch(str(value)) for value in row.values())
+                if not is_whole or not row[step].isdecimal():
                     problem = f"line {lines.line_num} is not a row of its columns"
                 else:
                     rows.append(row)
     except (ValueError, csv.Error) as error:
         raise ValueError(f"{path}: damaged ({error}); repair or delete it") from error
     return rows
-
-
-def _is_row(row: Mapping[str | None, str | None]) -> bool:
-    """Tell whether a row has a number or a blank in each column."""
-    try:
-        _ = [float(value or "") for value in row.values() if value != ""]
-    except (TypeError, ValueError):
-        return False
-    return None not in row
 
 
 class CsvLogger:

@@ -20,12 +20,10 @@ from fishrl.envs.transforms import ORACLE
 from fishrl.files import check_names, staged
 from fishrl.training.classifier import OWN
 from fishrl.training.interruption import Interrupted
+from fishrl.training.plain_files import Count, Stored, Tree, read_plain
 from fishrl.training.policy_zoo import PREFIX
 
 logger = logging.getLogger(__name__)
-
-#: Entries of a summary that are words; lists and mappings apart, all others are numbers.
-_WORDS = ("task", "success", "preset")
 
 
 class HeldError(ValueError):
@@ -139,14 +137,7 @@ def refuse_many(folder: Path, *, setting: str) -> None:
 
 def read_config(path: Path) -> dict[str, Any]:
     """Read the ``config.yaml`` of a run; raise ValueError if it holds no settings."""
-    try:
-        config = yaml.safe_load(path.read_text(encoding="utf-8"))
-        if not isinstance(config, dict):
-            raise ValueError("it holds no settings")
-        return adopt_config(config)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise ValueError(f"{path}: not the configuration of a run ({reason})") from error
+    return adopt_config(read_plain(path, Tree, what="the configuration of a run"))
 
 
 def adopt_config(config: dict[str, Any]) -> dict[str, Any]:
@@ -157,7 +148,6 @@ def adopt_config(config: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ValueError: for settings that no run writes.
     """
-    check_words(config)
     named, task = config.get("recognition"), config.get("task")
     if isinstance(named, str) and named not in (OWN, ORACLE) and not named.startswith(PREFIX):
         raise ValueError(f"recognition = {named!r}: a run keeps its classifier as {OWN}")
@@ -166,33 +156,25 @@ def adopt_config(config: dict[str, Any]) -> dict[str, Any]:
     return {**config, "task": {**task, "coupling": "IMPLICIT"}}
 
 
-def check_words(value: Any) -> None:
-    """Raise ValueError for stored words that cannot be printed, as those that control a terminal.
+class _Summary(Stored, extra="allow"):
+    """A ``summary.json``: numbers, and these entries."""
 
-    Args:
-        value: nested plain data.
-    """
-    if isinstance(value, Mapping):
-        value = [*value, *value.values()]
-    for entry in value if isinstance(value, list) else ():
-        check_words(entry)
-    if isinstance(value, str) and not value.isprintable():
-        raise ValueError(f"{value!r} is no word in one line")
+    __pydantic_extra__: dict[str, int | float | None]
+
+    task: str = ""
+    success: str = ""
+    preset: str | None = None
+    baselines: list[str] = []
+    algorithm: Tree = {}
+    seed: int = 0
+    frames: Count = 0
+    updates: Count = 0
 
 
 def read_summary(path: Path) -> dict[str, Any]:
     """Read the ``summary.json`` of a run; raise ValueError if it is damaged."""
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(values, dict) or not isinstance(values.get("frames", 0), int):
-            raise ValueError("it holds no results of a run")
-        for name, value in values.items():
-            if isinstance(value, str) and name not in _WORDS:
-                raise ValueError(f"{name} = {value!r} is no number")
-        check_words(values)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: damaged ({error}); repair or delete it") from error
-    return values
+    summary: _Summary = read_plain(path, _Summary, what="the summary of a run")
+    return summary.model_dump(exclude_unset=True)
 
 
 def write_json(path: Path, values: Mapping[str, Any] | Sequence[Any]) -> None:

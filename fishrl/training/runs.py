@@ -107,16 +107,19 @@ def adopt_plan(folder: RunFolder, plan: P) -> P:
         folder=stored.folder,
         name=stored.name,
     )
+    _refuse_other(plan, stored, folder.path)
+    return plan
+
+
+def _refuse_other(plan: Plan, stored: Plan, path: Path) -> None:
+    """Raise ValueError naming each setting that fixes the result and differs from those stored."""
     flat, other = (
         flatten({name: to_plain(getattr(each, name)) for name in FIXED}) for each in (stored, plan)
     )
     different = [key for key in {**other, **flat} if flat.get(key) != other.get(key)]
     if different:
-        lines = [
-            f"{key} = {other.get(key)}: is {flat.get(key)} in {folder.path}" for key in different
-        ]
-        raise ValueError("\n".join(lines) + "; take another folder or name for a new run")
-    return plan
+        lines = [f"{key} = {other.get(key)}: is {flat.get(key)} in {path}" for key in different]
+        raise ValueError("\n".join(lines) + "; take another folder or name, or change it back")
 
 
 def read_result(folder: RunFolder, plan: Plan) -> dict[str, Any] | None:
@@ -188,6 +191,9 @@ def reopen(
 def _continue(folder: RunFolder, plan: Plan, callbacks: Iterable[Callback]) -> Training:
     """Set up the run in a folder with settings that fit it."""
     with folder.noting_failure():
+        if folder.has_begun():  # its config.yaml has no checksum
+            path, metadata = read_metadata(folder.path, which="last")
+            _refuse_other(plan, Plan.from_config(metadata["config"]), path)
         training = Training(resolve(plan, folder=folder.path), folder=folder, callbacks=callbacks)
         if folder.has_begun():
             try:

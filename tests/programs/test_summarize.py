@@ -213,7 +213,7 @@ def test_runs_that_do_not_count_are_named(tmp_path: Path) -> None:
     assert "fix the setting" in text and "| 0/1 | – | – |" in text
     assert not (tmp_path / "curves.png").exists()
     (run / "summary.json").write_text("{")
-    with pytest.raises(ValueError, match=r"run: damaged .* repair or delete it"):
+    with pytest.raises(ValueError, match=r"run/summary.json: damaged .* repair or delete it"):
         read_runs(tmp_path)
 
 

@@ -50,7 +50,7 @@ def read_metrics(path: str | PathLike[str]) -> dict[str, tuple[Numbers, Numbers]
         raise ValueError(f"{path}: has no rows yet")
     series = {}
     for name in rows[0]:
-        points = [(row[FRAMES], row[name]) for row in rows if row[name] and row[FRAMES]]
+        points = [(row[FRAMES], row[name]) for row in rows if row[name]]
         values = np.array(points, dtype=np.float64).reshape(-1, 2)
         values = values[np.isfinite(values).all(1)]
         series[name] = (values[:, 0], values[:, 1])

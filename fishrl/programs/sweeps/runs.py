@@ -65,19 +65,16 @@ def read_run(path: Path) -> Run:
     folder = RunFolder(check_names(path))
     summary: dict[str, Any] = {}
     config: dict[str, Any] = {}
-    try:
-        if folder.summary.is_file():
-            summary = read_summary(folder.summary)
-        if folder.config.is_file():
-            config = read_config(folder.config)
-    except Exception as error:
-        raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
+    if folder.summary.is_file():
+        summary = read_summary(folder.summary)
+    if folder.config.is_file():
+        config = read_config(folder.config)
     frames = count_frames(path)
     status, reason = "finished" if summary else "stopped", ""
     if is_held(path):
         status = "running"
     elif folder.failure.is_file():
-        lines = folder.failure.read_text(encoding="utf-8").strip().splitlines()
+        lines = folder.failure.read_text("utf-8", "replace").strip().splitlines()
         status = "finished" if summary else "failed"
         reason = show(lines[-1]) if lines else "unknown"
     return Run(
