@@ -7,7 +7,6 @@ Tables and figures are written to ``reproduction.md`` and ``reproduction.html`` 
 """
 
 import fcntl
-import json
 import subprocess
 import sys
 import time
@@ -17,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from experiments.benchmarks.machine import describe_machine
 from experiments.paper import find_fitted, write_page
@@ -29,6 +28,7 @@ from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
 from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import Settings
+from fishrl.training.plain_files import Stored, read_plain
 from fishrl.training.run_folder import write_json
 
 #: Settings of the trainings of each arm, besides those of the scale. Without rows of frequencies a
@@ -140,18 +140,36 @@ def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
     )
 
 
+class _Machine(Stored):
+    cpu: str
+    cores: int
+    gpu: str | None
+    torch: str
+
+
+class _Entry(Stored):
+    """What ``jobs.json`` holds of a job."""
+
+    words: Annotated[list[str], Field(min_length=1)]
+    seconds: NonNegativeFloat
+    is_finished: bool
+    machine: _Machine
+
+
 class Record:
     """What has been run in a folder, kept in ``jobs.json``."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / "jobs.json"
-        text = self.path.read_text(encoding="utf-8") if self.path.is_file() else "{}"
-        self.jobs: dict[str, dict[str, Any]] = json.loads(text)
+        self.jobs: dict[str, dict[str, Any]] = {}
+        if self.path.is_file():
+            stored = read_plain(self.path, dict[str, _Entry], what="the record of a reproduction")
+            self.jobs = {name: entry.model_dump() for name, entry in stored.items()}
 
     def is_finished(self, job: Job) -> bool:
         """Return whether a job is finished with these settings and its runs exist."""
-        entry = self.jobs.get(job.name, {})
-        if not entry.get("is_finished", False) or entry["words"] != list(job.words):
+        entry = self.jobs.get(job.name)
+        if entry is None or not entry["is_finished"] or entry["words"] != list(job.words):
             return False
         runs = find_runs(job.words[2:]) if job.num_runs else []
         return sum(read_run(run).status == "finished" for run in runs) == job.num_runs

@@ -79,8 +79,10 @@ def load_tensors(
     file = Path(path).expanduser()
     try:
         with zipfile.ZipFile(file) as parts:
-            if (changed := parts.testzip()) is not None:
-                raise ValueError(f"{changed} has changed since it was written")
+            # torch reads nothing from a part with attributes, which it takes for a folder
+            odd = [part.filename for part in parts.infolist() if part.external_attr]
+            if odd or parts.testzip() is not None:
+                raise ValueError("it has changed since it was written")
         content = torch.load(file, map_location=device, weights_only=True)
         problem = "" if like is None else find_misfit(content, like)
     except FileNotFoundError as error:

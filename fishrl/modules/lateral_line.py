@@ -74,10 +74,11 @@ class LateralLineClassifier(nn.Module):
         if not features or not set(features) <= set(known):
             raise ValueError(f"features = {list(features)}: give one or more of {known}")
         self.features = list(features)
-        self.num_samples = int(self.sensors["num_samples"] if num_samples is None else num_samples)
+        per_interval = self.sensors["num_samples"] = int(self.sensors["num_samples"])
+        self.num_samples = per_interval if num_samples is None else num_samples
         self.hidden = list(hidden)
-        if self.num_samples < 1:
-            raise ValueError(f"num_samples = {num_samples}: must be at least 1")
+        if min(self.num_samples, per_interval) < 1:
+            raise ValueError(f"num_samples = {self.num_samples}: must be at least 1")
         self._columns = [known.index(name) for name in self.features]
         shape = (int(self.sensors["num_neuromasts"]), len(self.features))
         self.register_buffer("mean", torch.zeros(shape))

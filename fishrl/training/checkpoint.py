@@ -87,9 +87,7 @@ def save_checkpoint(
         for name, component in components.items():
             checkpoint.register(name, component, adapter=StateDictCheckpointAdapter("torch"))
         checkpoint.save(stage, metadata=metadata)
-        files = [file for file in sorted(stage.rglob("*")) if file.is_file()]
-        lines = [f"{_sum(file)}  {file.relative_to(stage).as_posix()}\n" for file in files]
-        (stage / SUMS).write_text("".join(lines), encoding="utf-8")
+        write_sums(stage)
         for file in (stage, *stage.rglob("*")):
             _flush(file)
         os.replace(stage, fresh)
@@ -104,6 +102,14 @@ def save_checkpoint(
             raise
         _clear(path)
         raise _not_written(path, error) from error
+
+
+def write_sums(folder: Path) -> None:
+    """Write the checksums of all files in a checkpoint but its model card, which may change."""
+    apart = (folder / SUMS, folder / "README.md")
+    files = [file for file in sorted(folder.rglob("*")) if file.is_file() and file not in apart]
+    lines = [f"{_sum(file)}  {file.relative_to(folder).as_posix()}\n" for file in files]
+    (folder / SUMS).write_text("".join(lines), encoding="utf-8")
 
 
 def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[str, Any]]:

@@ -10,7 +10,7 @@ import yaml
 from fishrl import __version__
 from fishrl.files import check_names, staged
 from fishrl.pages import escape, write_csv, write_table
-from fishrl.training.checkpoint import read_metadata, save_checkpoint
+from fishrl.training.checkpoint import read_metadata, save_checkpoint, write_sums
 from fishrl.training.classifier import find_classifier, keep_recognition
 from fishrl.training.logger import read_rows
 from fishrl.training.plan import Plan
@@ -74,6 +74,7 @@ def export_policy(
         write_json(folder / source.summary.name, summary)
     if source.metrics.is_file() and (rows := read_rows(source.metrics)):
         write_csv(folder / source.metrics.name, list(rows[0]), (list(row.values()) for row in rows))
+    write_sums(folder)
     card = _write_card(
         plan, summary, title=title or folder.name, frames=metadata["frames"], revision=revision
     )

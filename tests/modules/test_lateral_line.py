@@ -92,15 +92,3 @@ def test_flows_and_sensors_other_than_those_of_the_training_are_refused() -> Non
     ):
         with pytest.raises(ValueError, match=message):
             make().check(flows=flows, sensors=sensors)
-
-
-def test_invalid_file_is_refused(tmp_path: Path) -> None:
-    torch.save({"weights": torch.zeros(3)}, tmp_path / "other.pt")
-    with pytest.raises(ValueError, match="holds something else"):
-        LateralLineClassifier.load(tmp_path / "other.pt")
-    make().save(tmp_path / "newer.pt")
-    content = torch.load(tmp_path / "newer.pt")
-    content["settings"]["depth"] = 3
-    torch.save(content, tmp_path / "newer.pt")
-    with pytest.raises(ValueError, match="does not fit"):
-        LateralLineClassifier.load(tmp_path / "newer.pt")

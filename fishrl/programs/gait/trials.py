@@ -199,6 +199,8 @@ def run_trial(
     if path.is_file():
         like = dict.fromkeys(Histories._fields, "float64") | _DTYPES
         kept = load_tensors(path, what="histories", remedy="delete the file", like=like)
+        if len({value.shape[:1] for value in kept.values()}) > 1:
+            raise ValueError(f"histories {path}: the entries differ in length; delete the file")
         return [pick(Histories(**kept), kept["flow"] == flow) for flow in range(flows)]
     starts: TensorDict = task.sample_starts(flows * episodes, torch.Generator().manual_seed(0))
     # the same noses, phases and keys in each flow for every policy
