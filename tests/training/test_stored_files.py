@@ -21,7 +21,7 @@ from fishrl.training import Plan, load_policy, reopen
 from fishrl.training.export import export_policy
 from fishrl.training.logger import CsvLogger, read_rows
 from fishrl.training.loop import Training
-from fishrl.training.plain_files import read_plain
+from fishrl.training.plain_files import Tree, read_plain
 from fishrl.training.run_folder import read_config
 from tests.training.conftest import renew_checksums
 from tests.wrong_files import OF_JSON, TEXTS, flip, spoil, try_all
@@ -111,7 +111,7 @@ def test_wrong_files_of_a_run_are_refused_in_one_line_or_read(run: Path, name: s
 def test_odd_texts_are_refused_at_once(tmp_path: Path, name: str) -> None:
     def read(text: bytes) -> None:
         (tmp_path / name).write_bytes(text)
-        read_plain(tmp_path / name, what="settings")
+        read_plain(tmp_path / name, Tree, what="settings")
 
     texts = (*TEXTS, *(OF_JSON if name == "summary.json" else ()))
     assert not try_all(((str(text[:20]), text) for text in texts), read)["read"]
