@@ -8,20 +8,41 @@ import sys
 import threading
 from pathlib import Path
 from typing import Any
+from weakref import WeakSet
+
+_PARENT_CHECK_MS = 1000
+_children: "WeakSet[subprocess.Popen[bytes]]" = WeakSet()
 
 
 def start_child(code: str, *arguments: str, **options: Any) -> subprocess.Popen[bytes]:
     """Run Python code in a process group that is killed when the pipe to its stdin closes.
 
     The kernel closes that pipe when this process ends, so that even SIGKILL leaves nothing behind.
+    Processes forked from this one do not keep it open; the child also watches this process itself.
     The child finds modules where this process does.
     ``options`` are those of ``subprocess.Popen``.
     """
     folders = [*map(str, sys.path), str(Path(__file__).parents[1])]
     start = f"import sys; sys.path[:] = {folders!r}"
-    code = f"{start}; import fishrl.children; fishrl.children.end_with_pipe(); {code}"
+    code = f"{start}; import fishrl.children; fishrl.children.end_with_pipe({os.getpid()}); {code}"
     command = [sys.executable, "-c", code, *arguments]
-    return subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True, **options)
+    child = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True, **options)
+    _children.add(child)
+    return child
+
+
+def _let_go() -> None:
+    """Replace the pipes to children by nothing, in a process that was forked from this one."""
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for child in _children:
+        for pipe in (child.stdin, child.stdout):
+            if pipe is not None and not pipe.closed:
+                os.dup2(nothing, pipe.fileno(), inheritable=False)
+    os.close(nothing)
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_let_go)
 
 
 def make_environment() -> dict[str, str]:
@@ -34,13 +55,14 @@ def make_environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": folders, "PYTHONSAFEPATH": "1"}
 
 
-def end_with_pipe() -> None:
-    """Kill the process group of this process, in the background, once its stdin is closed."""
+def end_with_pipe(parent: int) -> None:
+    """Kill this process group, in the background, once stdin is closed or the parent has ended."""
 
     def watch() -> None:
         pipe = select.poll()
         pipe.register(0, 0)  # hang-ups alone: its content is for others
-        pipe.poll()
+        while not pipe.poll(_PARENT_CHECK_MS) and os.getppid() == parent:
+            pass
         os.killpg(0, signal.SIGKILL)
 
     threading.Thread(target=watch, daemon=True).start()

@@ -1,12 +1,13 @@
 """The memory that flows, buffers and networks need, compared with that of the machine."""
 
-import os
 from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
+
+from fishrl.limits import measure_machine_memory
 
 
 class Weightless(TorchFunctionMode):
@@ -37,9 +38,9 @@ def check_memory(*, device: torch.device | str = "cpu", **needed: float) -> None
     """
     total = sum(needed.values())
     if torch.device(device).type == "cuda":
-        size = torch.cuda.get_device_properties(device).total_memory
+        size = float(torch.cuda.get_device_properties(device).total_memory)
     else:
-        size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        size = measure_machine_memory()
     if total > size:
         parts = ", ".join(f"{name} {part / 1e9:.3g} GB" for name, part in needed.items())
         raise ValueError(

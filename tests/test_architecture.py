@@ -13,7 +13,14 @@ MAX_LINES = 400
 
 TENSORS = {
     *("torch", "tensordict", "numpy", "pydantic"),
-    *("fishrl.children", "fishrl.files", "fishrl.memory", "fishrl.settings", "fishrl.torch_state"),
+    *(
+        "fishrl.children",
+        "fishrl.files",
+        "fishrl.limits",
+        "fishrl.memory",
+        "fishrl.settings",
+        "fishrl.torch_state",
+    ),
 }
 #: Of the programs, which nothing in the library imports.
 PROGRAMS = TENSORS | {
@@ -33,7 +40,8 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/files.py", {"torch"}),
     ("fishrl/pages.py", {"fishrl.files"}),
     ("fishrl/extras.py", {"packaging"}),
-    ("fishrl/memory.py", {"torch"}),
+    ("fishrl/limits.py", set()),
+    ("fishrl/memory.py", {"torch", "fishrl.limits"}),
     ("fishrl/torch_state.py", {"torch"}),
     ("fishrl/physics/fast/triton_coupling.py", {"torch", "triton"}),
     # bodies know nothing of flows

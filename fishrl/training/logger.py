@@ -134,6 +134,9 @@ class WandbLogger(CsvLogger):
     Args:
         project: project of Weights & Biases.
         is_offline: write below the run folder and upload nothing; ``wandb sync`` does so later.
+            Otherwise the variable ``WANDB_MODE`` decides.
+
+    ``open`` raises ValueError where Weights & Biases refuses the run, as without an API key.
     """
 
     def __init__(self, *, project: str = "fishrl", is_offline: bool = False) -> None:
@@ -150,16 +153,22 @@ class WandbLogger(CsvLogger):
         """Start the run at Weights & Biases as well; a resumed run keeps its identity."""
         super().open(folder, columns=columns, config=config, step=step)
         identity = folder / "wandb_id"
-        self._run = self._wandb.init(
-            project=self.project,
-            name=folder.name,
-            id=identity.read_text("utf-8") if identity.is_file() else uuid.uuid4().hex[:12],
-            dir=str(folder),
-            config=dict(config),
-            mode="offline" if self.is_offline else "online",
-            resume="allow",
-            settings=self._wandb.Settings(console="off"),  # or it would log the bar's every move
-        )
+        try:
+            self._run = self._wandb.init(
+                project=self.project,
+                name=folder.name,
+                id=identity.read_text("utf-8") if identity.is_file() else uuid.uuid4().hex[:12],
+                dir=str(folder),
+                config=dict(config),
+                mode="offline" if self.is_offline else None,
+                resume="allow",
+                settings=self._wandb.Settings(console="off"),  # or it would log the bar's moves
+            )
+        except self._wandb.errors.Error as error:
+            said = str(error).strip().rstrip(".")
+            raise ValueError(
+                f"Weights & Biases: {said}; or set logger.is_offline=true, or WANDB_MODE=offline"
+            ) from error
         write_whole(identity, self._run.id)  # an agent has its own
 
     def _send(self, measured: Mapping[str, float], *, step: int) -> None:

@@ -96,7 +96,8 @@ def write_netcdf(flow: xr.Dataset, path: Path | str) -> None:
 def write_zarr(flow: xr.Dataset, path: Path | str) -> None:
     """Write a Zarr folder, one chunk per moment."""
     chunks = {name: {"chunks": (1, *flow[name].shape[1:])} for name in flow.data_vars}
-    flow.to_zarr(path, mode="w", encoding=chunks, consolidated=False)
+    # version 2 of the format, whose specification has consolidated metadata
+    flow.to_zarr(path, mode="w", encoding=chunks, consolidated=True, zarr_format=2)
 
 
 def write_vtk(flow: xr.Dataset, path: Path | str) -> None:

@@ -20,7 +20,7 @@ from fishrl.extras import show_install
 
 try:
     import minari
-    from gymnasium.spaces import Box, Dict, Discrete, MultiBinary
+    from gymnasium.spaces import Box, Dict, Discrete
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_dataset import parse_dataset_id
 except ImportError as error:
@@ -101,7 +101,7 @@ def write_dataset(
             seed=seed,
             observations={
                 "observation": arrays["observation_stack"][index],
-                **{key: arrays[key][index].astype(np.int8) for key in masked},
+                **{key: arrays[key][index].astype(np.uint8) for key in masked},
             },
             actions=arrays["action"][index],
             rewards=arrays["reward"][index][:, 0],
@@ -115,10 +115,11 @@ def write_dataset(
     warnings.simplefilter("ignore", UserWarning)  # about fields for its public server
     size = env.observation_spec["observation_stack"].shape[-1]
     seen = Box(-np.inf, np.inf, (size,), np.float32)
+    mask = Box(0, 1, (num,), np.uint8)  # TorchRL reads no MultiBinary
     return minari.create_dataset_from_buffers(
         name,
         buffers,
-        observation_space=Dict({"observation": seen, **dict.fromkeys(masked, MultiBinary(num))}),
+        observation_space=Dict({"observation": seen, **dict.fromkeys(masked, mask)}),
         action_space=Box(-1.0, 1.0, (num,), np.float32) if is_continuous else Discrete(num),
         algorithm_name=algorithm,
         description=f"{len(starts)} episodes of {task}",

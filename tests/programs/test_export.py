@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import pyvista as pv
 import xarray as xr
+from torchrl.data.datasets.minari_data import MinariExperienceReplay
 
 from fishrl.programs import export, export_data
 from fishrl.programs.export_policy import upload
@@ -39,12 +40,13 @@ def test_fields_are_in_body_lengths_and_periods(flow: xr.Dataset) -> None:
     assert 0.1 < beating < 2.0
 
 
+@pytest.mark.filterwarnings("error")  # of metadata that is not consolidated
 def test_xarray_reads_netcdf_and_zarr(flow: xr.Dataset, tmp_path: Path) -> None:
     write_netcdf(flow, tmp_path / "flow.nc")
     write_zarr(flow, tmp_path / "flow.zarr")
     for read in (
         xr.load_dataset(tmp_path / "flow.nc", engine="h5netcdf"),
-        xr.open_zarr(tmp_path / "flow.zarr", consolidated=False).load(),
+        xr.open_zarr(tmp_path / "flow.zarr").load(),
     ):
         xr.testing.assert_equal(read, flow)
         assert read["u"].attrs["units"] == "L/T"
@@ -85,6 +87,11 @@ def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.Monkey
         assert masks[np.arange(num), episode.actions].all()  # only legal actions
         over = episode.terminations | episode.truncations
         assert over[-1] and not over[:-1].any()
+    replayed = MinariExperienceReplay(
+        "fishrl/pursuit-v0", batch_size=None, load_from_local_minari=True, root=tmp_path / "torchrl"
+    )
+    assert len(replayed) == sum(len(episode.actions) for episode in episodes)
+    assert replayed.metadata["observation_space"]["action_mask"].shape == (3,)
 
 
 def test_a_hub_that_does_not_answer_is_an_error_in_one_line(

@@ -109,9 +109,24 @@ def test_run_of_a_wandb_agent_keeps_its_id_when_resumed(
     assert {path.name for path in recorded} == {"run-agentsid.wandb"}
 
 
-def open_and_close(folder: Path) -> None:
+def test_wandb_mode_is_respected_and_a_missing_key_is_an_error_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    for name, value in (("HOME", str(tmp_path)), ("NETRC", str(tmp_path / "none"))):
+        monkeypatch.setenv(name, value)  # without the user's key
+    monkeypatch.delenv("WANDB_API_KEY", raising=False)
+    with pytest.raises(ValueError, match=r"^Weights & Biases: No API key .*; or set logger"):
+        open_and_close(tmp_path, is_offline=False)
+    for mode, num_recorded in (("disabled", 0), ("offline", 1)):
+        monkeypatch.setenv("WANDB_MODE", mode)
+        open_and_close(tmp_path, is_offline=False)
+        assert len([*tmp_path.glob("wandb/offline-run-*")]) == num_recorded
+
+
+def open_and_close(folder: Path, *, is_offline: bool = True) -> None:
     wandb.teardown()  # as in a new process, which reads the variables
-    logger = WandbLogger(is_offline=True)
+    logger = WandbLogger(is_offline=is_offline)
     logger.open(folder, columns=["frames"], config={})
     logger.close()
 

@@ -7,7 +7,6 @@ shapes, strides and types never change and that mutated inputs do not overlap wi
 """
 
 import logging
-import os
 import shutil
 import sys
 from collections.abc import Callable, Sequence
@@ -20,6 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from fishrl.files import staged
 from fishrl.physics.cache_key import hash_sources, make_key
 
 logger = logging.getLogger(__name__)
@@ -175,8 +175,7 @@ def _save(path: Path, content: bytes) -> None:
     """Keep ``content``; readers see all of it or nothing."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}")
-        part.write_bytes(content)
-        part.replace(path)
+        with staged(path) as part:
+            part.write_bytes(content)
     except OSError as error:
         logger.warning("the compiled step cannot be kept (%s): it is compiled every time", error)

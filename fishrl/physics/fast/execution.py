@@ -8,9 +8,10 @@ from typing import IO
 import torch
 from torch import Tensor
 
+from fishrl.limits import count_cores
 from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.fast.compiled import find_compiler_problem
-from fishrl.physics.fast.workers import Workers, can_send, count_cores, map_shared, open_shared
+from fishrl.physics.fast.workers import Workers, can_send, map_shared, open_shared
 from fishrl.physics.flow import FlowConfig
 
 logger = logging.getLogger(__name__)

@@ -42,12 +42,6 @@ def map_shared(file: int, num_bytes: int) -> Tensor:
     return torch.frombuffer(mmap.mmap(file, num_bytes), dtype=torch.uint8)
 
 
-def count_cores() -> int:
-    """Return how many cores this process may use, as ``taskset`` or a cluster gave them."""
-    given = getattr(os, "sched_getaffinity", None)  # Linux
-    return len(given(0)) if given else os.cpu_count() or 1
-
-
 def can_send(configs: Sequence[FlowConfig]) -> bool:
     """Return whether workers can import every class of the flows; not if a script defines one."""
     try:

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from fishrl.limits import count_cores
 from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
 from fishrl.physics.bodies.motion import Fixed
-from fishrl.physics.fast.workers import count_cores
 
 CONFIG = FlowConfig(width=32, height=24, tau=0.6)
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="it reads /proc")
@@ -145,6 +145,43 @@ def test_nothing_is_left_of_a_program_that_is_killed(
     while (left := find_processes(str(tmp_path))) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert not left  # looked at once: a process that is starting shows no environment for a moment
+
+
+#: A program whose forked child outlives some flows, and then the program itself.
+FORKING = """
+import os, time
+from fishrl.physics import FlowConfig, InPlaceSolver
+config = FlowConfig(width=32, height=24, tau=0.6)
+def make():
+    solver = InPlaceSolver(config=config, num_envs=1, compile=False, num_workers=1)
+    solver.compile()
+    return solver
+closed, left = make(), make()
+if os.fork() == 0:
+    del left  # ends nothing: it belongs to the parent
+    time.sleep(600.0)
+closed.close()
+left.advance_(2)
+print("closed", flush=True)
+time.sleep(600.0)
+"""
+
+
+@ON_LINUX
+def test_a_forked_process_keeps_no_worker_alive_and_ends_none(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", FORKING],
+        env={**os.environ, "LEFT_BY": str(tmp_path)},
+        stdout=subprocess.PIPE,
+    ) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == b"closed\n"
+        program.kill()
+    deadline = time.monotonic() + 300.0
+    while len(left := find_processes(str(tmp_path))) > 1 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert len(left) == 1
+    os.kill(left.pop(), signal.SIGKILL)
 
 
 def test_workers_find_classes_of_a_module_next_to_the_script_and_its_own_need_none(
