@@ -1,4 +1,4 @@
-"""The flow and the bodies in it: batched immersed-boundary lattice Boltzmann in torch."""
+"""The flow and the bodies in it: batched lattice Boltzmann in torch."""
 
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.gait import CARANGIFORM, CARLING, LONG_WAVE, Gait
