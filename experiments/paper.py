@@ -12,7 +12,7 @@ import yaml
 from markdown_it import MarkdownIt
 
 from fishrl.files import make_folder
-from fishrl.pages import write_table
+from fishrl.pages import escape, write_table
 from fishrl.programs import view
 from fishrl.programs.configuration import quote
 from fishrl.programs.figures.learning_curve import Curve, draw_curves, read_metrics
@@ -154,7 +154,7 @@ def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) 
     shown = {name: figure["caption"] for name, figure in read_paper()["figures"].items()}
     parts = [
         f"# Reproduction, {scale.name}",
-        f"{sum(hours.values()):.1f} hours on {'; '.join(sorted(machines))}. Settings:",
+        f"{sum(hours.values()):.1f} hours on {escape('; '.join(sorted(machines)))}. Settings:",
         f"```yaml\n{yaml.safe_dump(to_plain(asdict(scale)), sort_keys=False)}```",
         "## The paper's numbers and ours",
         compare(transfer, read(fitted / "lateral_line.json"), captures),

@@ -26,7 +26,7 @@ from fishrl.programs.train_settings import TRAINING, TrainConfig, read_resumed
 from fishrl.settings import TARGET, flatten
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.run_folder import RunFolder, read_config, write_yaml
+from fishrl.training.run_folder import RunFolder, write_yaml
 
 PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
     "evaluate": (evaluate.main, ("checkpoint={run}", "task.time_limit=3", "compile=false")),
@@ -127,7 +127,8 @@ def test_no_setting_of_a_stored_run_is_imported_resolved_or_printed_as_it_is(
     for name in ("plain", "run"):
         (tmp_path / name).mkdir()
         write_yaml(tmp_path / name / "config.yaml", plain)
-    for key, value in zip(flatten(plain), cycle(ODD), strict=False):
+        (tmp_path / name / "failure.txt").write_text("\x1b]0;a\x07 <script>[x](y)")
+    for key, value in zip([*flatten(plain)][::2], cycle(ODD), strict=False):
         config = deepcopy(plain)
         *path, last = key.split(".")
         reduce(dict.__getitem__, path, config)[last] = value
@@ -143,10 +144,9 @@ def test_no_setting_of_a_stored_run_is_imported_resolved_or_printed_as_it_is(
 
 def read_stored(run: Path) -> str:
     """Return the stored settings that the user's own words would be compared with."""
-    plan = TrainConfig.from_config(read_config(run / "config.yaml"))
-    stored = flatten(read_resumed({"resume": str(run)}))
-    for key, value in flatten(plan.to_config()).items():
-        assert stored[key] == (value if key != "live" else False)
+    stored = read_resumed({"resume": str(run)})
+    made = flatten(TrainConfig.from_config(stored).to_config())
+    assert made.items() <= flatten(stored).items()
     return ""
 
 

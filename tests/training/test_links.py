@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from pathlib import Path
 from shutil import copytree, rmtree
 
@@ -23,13 +24,6 @@ OTHERS = (
 SUMMARY = ("summary.md", "summary.csv", "runs.csv", "curves.png")
 
 
-def plant(place: Path, outside: Path) -> None:
-    """Put a link to a private file or folder in place of what is there."""
-    is_folder = place.is_dir() or not place.suffix
-    rmtree(place) if place.is_dir() else place.unlink(missing_ok=True)
-    place.symlink_to(outside if is_folder else outside / "key")
-
-
 def test_a_run_folder_with_a_link_that_leads_out_of_it_is_refused(
     whole: Training, tmp_path: Path
 ) -> None:
@@ -37,9 +31,12 @@ def test_a_run_folder_with_a_link_that_leads_out_of_it_is_refused(
     outside.mkdir()
     (outside / "key").write_text("private")
     names = [path.relative_to(whole.folder.path) for path in whole.folder.path.rglob("*")]
-    for number, name in enumerate([*names, *map(Path, OTHERS)]):
-        run = copytree(whole.folder.path, tmp_path / f"{number}")
-        plant(run / name, outside)
+    targets = cycle((outside / "new", outside, outside / "key"))
+    for name, target in zip([*names, *map(Path, OTHERS)], targets, strict=False):
+        run = copytree(whole.folder.path, tmp_path / "run")
+        place = run / name
+        rmtree(place) if place.is_dir() else place.unlink(missing_ok=True)
+        place.symlink_to(target)
         for act in (
             lambda: resume(run, total_frames=480),  # noqa: B023 - called at once
             lambda: export_policy(run, tmp_path / "policy"),  # noqa: B023
