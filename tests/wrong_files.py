@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-ATTEMPTS = int(os.environ.get("ATTEMPTS", "24"))
+ATTEMPTS = int(os.environ.get("ATTEMPTS", "16"))
 SECONDS = 10.0  # the most that a reader may take on a busy machine; others took a minute
 
 DEEP: Any = []

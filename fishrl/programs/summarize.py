@@ -96,7 +96,8 @@ def add_curve_mean(run: Run) -> Run:
     """Add ``curve_mean``, the mean success rate of the evaluations, to a run's summary."""
     if not run.summary or not run.frames:
         return run
-    _, rates = read_metrics(run.path / "metrics.csv")["eval/success_rate"]
+    metrics = read_metrics(run.path / "metrics.csv")
+    _, rates = metrics.get("eval/success_rate", (None, np.empty(0)))
     added = {"curve_mean": float(rates.mean())} if rates.size else {}
     return replace(run, summary=run.summary | added)
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 import torch
-from tensordict import TensorDict
 
 import fishrl.envs.flow_env
 from fishrl.envs.changes import StreamSwitches
@@ -73,19 +72,16 @@ def test_trial_is_recorded_again_only_if_its_inputs_change(
     first = trials.concatenate(run_trial(trial, episodes=1, folder=tmp_path))
     recorded = []
 
-    def pretend(_: Trial, starts: TensorDict, **__: Any) -> Histories:
+    def pretend(*_: Any, **__: Any) -> Histories:
         recorded.append(None)
-        times = len(starts) // len(first.flow)
-        return Histories(*(value.repeat_interleave(times, 0) for value in first))
+        return first
 
     monkeypatch.setattr(trials, "record", pretend)
 
     def count(trial: Trial, **settings: Any) -> int:
         for _ in range(2):  # the second time it is read
             again = run_trial(trial, **{"episodes": 1, "folder": tmp_path, **settings})
-            times = settings.get("episodes", 1)
             for a, b in zip(first, trials.concatenate(again), strict=True):
-                b = b[::times]
                 torch.testing.assert_close(a, b, rtol=0.0, atol=0.0, equal_nan=True)
         return len(recorded)
 
