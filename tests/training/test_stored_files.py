@@ -86,14 +86,14 @@ def run(whole: Training, tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("name", READERS)
 def test_wrong_files_of_a_run_are_refused_in_one_line_or_read(run: Path, name: str) -> None:
-    file, rng = run / name, random.Random(0)
+    file, rng, has_sums = run / name, random.Random(0), name.endswith("manifest.json")
     data = file.read_bytes()
 
     def read(content: Any) -> None:
         text = content if isinstance(content, bytes) else write(content).encode()
         file.write_bytes(text)
-        if file.name == "manifest.json":
-            renew_checksums(file.parent)
+        if has_sums and not isinstance(content, bytes):
+            renew_checksums(file.parent)  # as whoever changes it on purpose
         for reader in READERS[name]:
             reader(run)
 
@@ -102,9 +102,10 @@ def test_wrong_files_of_a_run_are_refused_in_one_line_or_read(run: Path, name: s
         return text.replace("NaN", ".nan").replace("Infinity", ".inf") if ".y" in name else text
 
     read(data)
+    flipped = try_all((("flip", content) for content in flip(data, rng)), read)
+    assert flipped["refused"] and not (has_sums and flipped["read"])
     if file.suffix != ".csv":
         assert try_all(spoil(yaml.safe_load(data), rng), read)["refused"]
-    assert try_all((("flip", content) for content in flip(data, rng)), read)["refused"]
 
 
 @pytest.mark.parametrize("name", ["config.yaml", "summary.json"])
