@@ -8,6 +8,7 @@ from fishrl.programs import view
 
 
 def test_recorded_films_come_before_anything_heavy_is_imported(tmp_path: Path) -> None:
+    tmp_path /= "o'brien, é"
     code = (
         "import sys, fishrl.children as children\n"
         "children.start_child = lambda _, *words, **__: sys.exit('\\n'.join(words))\n"

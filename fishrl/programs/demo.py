@@ -13,8 +13,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fishrl.children import start_child
-from fishrl.files import make_folder
-from fishrl.programs.configuration import quote
 
 ZOO = Path(__file__).parents[1] / "zoo"
 #: Policy, name of its files, and after how many T its film ends.
@@ -27,7 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--folder", default="demo", help="to write into (default: demo)")
     parser.add_argument("--eager", action="store_true", help="do not compile the flow step")
     options = parser.parse_args(arguments)
-    folder = make_folder(Path(options.folder).resolve())
+    folder = Path(options.folder).resolve()
+    folder.mkdir(parents=True, exist_ok=True)
     for name, title, _ in SHOWS:
         film = shutil.copy(ZOO / name / "film.mp4", folder / f"{title}_recorded.mp4")
         sys.stdout.write(f"{film}: recorded film of zoo/{name}\n")
@@ -39,7 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         running = {}
         for name, title, periods in SHOWS:
             words = [f"policy=zoo/{name}", f"periods={periods}", "frames_per_T=4"]
-            words += [f"save={quote(f'{folder / title}.mp4')}", f"compile={not options.eager}"]
+            save = f"{folder / title}.mp4".replace("'", r"\'")
+            words += [f"save='{save}'", f"compile={not options.eager}"]
             log = Path(place, name)
             running[log] = start_child(swim, *words, cwd=place, stderr=log.open("w"))
         try:

@@ -164,7 +164,7 @@ def test_run_folder_stands_for_its_capture(tmp_path: Path, monkeypatch: pytest.M
     opened: list[list[str]] = []
     status = [0, 1]
 
-    def run(command: list[str], check: bool) -> Any:
+    def run(command: list[str], check: bool, env: dict[str, str]) -> Any:
         opened.append(command)
         return SimpleNamespace(returncode=status.pop(0))
 
