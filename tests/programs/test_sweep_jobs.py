@@ -9,6 +9,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,7 @@ from fishrl.training.checkpoint import read_metadata
 from fishrl.training.run_folder import read_config, write_json, write_yaml
 from fishrl.training.runs import make_folder
 from tests.modules.test_lateral_line import make as make_classifier
+from tests.physics.fast.test_workers import find_processes
 from tests.training.conftest import read_rows
 
 ROOT = Path(__file__).parents[2]
@@ -239,6 +241,22 @@ def test_a_closed_terminal_ends_a_training_or_a_sweep_with_everything_saved(
     (run,) = read_runs(tmp_path)
     assert (run.status, run.frames) == ("stopped", 8)
     assert not (run.path / "failure.txt").exists()
+
+
+@pytest.mark.parametrize("launcher", ["basic", "joblib"])
+def test_nothing_is_left_of_a_sweep_that_is_killed(tmp_path: Path, launcher: str) -> None:
+    words = [*SETTINGS, f"folder={tmp_path}", f"+logger._target_={HERE}.Lingering", "seed=0,1"]
+    command = [sys.executable, "-m", "fishrl", "train", "--multirun", *words]
+    marked = {**os.environ, "LEFT_BY": str(tmp_path)}
+    with subprocess.Popen([*command, f"hydra/launcher={launcher}"], cwd=ROOT, env=marked) as sweep:
+        while not list(tmp_path.glob("*/mark")):
+            assert sweep.poll() is None
+            time.sleep(0.1)
+        sweep.kill()
+    deadline = time.monotonic() + 300.0
+    while (left := find_processes(str(tmp_path))) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not left
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")

@@ -8,6 +8,8 @@ others, and the same sweep continues those that are unfinished.
 import hashlib
 import itertools
 import logging
+import multiprocessing
+import os
 import re
 import signal
 import subprocess
@@ -24,7 +26,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig
 
-from fishrl.children import make_environment
+from fishrl.children import start_child
 from fishrl.files import make_folder
 from fishrl.programs.configuration import parse, run_hydra, split_options
 from fishrl.programs.program import set_up_logging, show_command
@@ -163,19 +165,21 @@ def run_job(job: Job) -> Run:
     if run.status == "running" or find_result(job.settings):
         return run
     make_folder(path)
-    command = [sys.executable, "-m", "fishrl", "train", *job.words]
+    code = "import sys; del sys.argv[1]; from fishrl.__main__ import main; main()"
+    words = ("fishrl", "train", *job.words)  # as ``find_trainings`` looks for
+    is_of_joblib, parent = multiprocessing.parent_process() is not None, os.getppid()
     with (
         Progress() as bar,
         (path / "output.log").open("ab") as output,
-        subprocess.Popen(
-            command, stdout=output, stderr=subprocess.STDOUT, env=make_environment()
-        ) as child,
+        start_child(code, *words, stdout=output, stderr=subprocess.STDOUT) as child,
     ):
         done = run.frames
         bar.on_phase(path.name, total=job.settings.total_frames, done=done)
         is_over = False
         while not is_over:
             time.sleep(LOOK_SECONDS)
+            if is_of_joblib and os.getppid() != parent:  # the sweep was killed
+                os._exit(1)  # and the run ends with this process
             is_over = child.poll() is not None
             before, done = done, max(done, count_frames(path))
             bar.on_progress(done - before)
