@@ -165,13 +165,13 @@ def run_job(job: Job) -> Run:
     if run.status == "running" or find_result(job.settings):
         return run
     make_folder(path)
-    code = "import sys; del sys.argv[1]; from fishrl.__main__ import main; main()"
+    start = "import sys; del sys.argv[1]; from fishrl.__main__ import main; main()"
     words = ("fishrl", "train", *job.words)  # as ``find_trainings`` looks for
     is_of_joblib, parent = multiprocessing.parent_process() is not None, os.getppid()
     with (
         Progress() as bar,
         (path / "output.log").open("ab") as output,
-        start_child(code, *words, stdout=output, stderr=subprocess.STDOUT) as child,
+        start_child(start, *words, stdout=output, stderr=subprocess.STDOUT) as child,
     ):
         done = run.frames
         bar.on_phase(path.name, total=job.settings.total_frames, done=done)
