@@ -19,10 +19,10 @@ from fishrl.programs.figures.learning_curve import Curve, write_learning_curve
 from fishrl.programs.figures.run_pictures import write_run_pictures
 from fishrl.viewer import Recording, film
 
-METRICS = """frames,train/return,eval/mean_return,train/success_rate,train/loss_qvalue,note
-64,-5.0,,0.0,2.0,warm-up
-128,-3.0,-4.0,0.1,nan,
-192,2.0,,0.5,1.0,
+METRICS = """frames,train/return,eval/mean_return,train/success_rate,train/loss_qvalue
+64,-5.0,,0.0,2.0
+128,-3.0,-4.0,0.1,
+192,2.0,,0.5,1.0
 """
 
 
