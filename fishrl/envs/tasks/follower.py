@@ -20,7 +20,7 @@ from fishrl.envs.task import Command
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending, Driven
 from fishrl.physics.fast.solver import InPlaceSolver
-from fishrl.physics.flow import FlowConfig, Sponge
+from fishrl.physics.flow import Coupling, FlowConfig, Sponge
 
 #: Time constants of the bend in an action; a faster one would fling the tail.
 RESPONSE = 2.0
@@ -49,6 +49,9 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
 
     Parameters follow the tasks twoFish and cylFollow of CubismUP 2D (CSE-lab, ETH Zürich).
 
+    The skin is the immersed boundary by default: ``stream_speed_bl``, at which a held leader is
+    carried along by no mean force, and ``cost_alone`` belong to it (a sharp skin needs 0.49).
+
     Args:
         leader: fish, disc, or none, for comparison with a fish alone.
         stream_speed_bl: speed of the stream, L / T.
@@ -74,6 +77,7 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
     body_length: int = 32
     reynolds: float = 5000.0
     max_wall_speed: float = 0.15
+    coupling: Coupling = Coupling.IMPLICIT
     domain_bl: tuple[float, float] = (6.0, 3.0)
     wall_margin_bl: float = 0.16
     time_limit: int = 200
