@@ -7,13 +7,21 @@ from pathlib import Path
 
 from fishrl.files import staged
 
+_MARKUP = r"[\\|<]|(?<=\])[(\[]"
 
-def write_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+
+def write_table(
+    heads: Sequence[str], rows: Iterable[Sequence[object]], *, has_links: bool = False
+) -> str:
     """Return a Markdown table, which ends with a newline; ``None`` is an empty cell.
 
-    Cells may be bold or code; links and HTML appear as they are written.
+    Cells may be bold or code; HTML appears as it is written, and links too unless it ``has_links``.
     """
-    cells = [["" if cell is None else escape(str(cell)) for cell in row] for row in (heads, *rows)]
+    pattern = r"[\\|<]" if has_links else _MARKUP
+    cells = [
+        ["" if cell is None else escape(str(cell), pattern) for cell in row]
+        for row in (heads, *rows)
+    ]
     lines = [f"| {' | '.join(row)} |" for row in cells]
     lines.insert(1, "|---" * len(heads) + "|")
     return "\n".join(lines) + "\n"
@@ -25,9 +33,9 @@ def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Sequence[object]]
         csv.writer(file).writerows([heads, *rows])
 
 
-def escape(text: str) -> str:
+def escape(text: str, pattern: str = _MARKUP) -> str:
     """Return text for Markdown that is no link, no HTML and no cell of a table."""
-    return re.sub(r"[\\|<]|(?<=\])[(\[]", r"\\\g<0>", text)
+    return re.sub(pattern, r"\\\g<0>", text)
 
 
 def show(text: str) -> str:

@@ -127,7 +127,7 @@ def render_summary(outcomes: Sequence[Outcome]) -> str:
             short = headline.source if len(headline.source) <= LONGEST_SOURCE else ""
             row = _make_row(replace(headline, source=short))
             rows.append((_link(outcome), *row[:-1], criteria))
-    return write_table(SUMMARY, rows)
+    return write_table(SUMMARY, rows, has_links=True)
 
 
 def find_headline(outcome: Outcome) -> Sequence[Check]:

@@ -37,10 +37,11 @@ def test_wakes_match_disc_and_speed_and_each_disc_has_one_file(
 
     def develop(recipe: WakeRecipe, **_: object) -> WakeBank:
         recipes.append(recipe)
-        sizes = [recipe.config.bodies[0].size * speed for speed in recipe.speeds]
+        size = recipe.config.bodies[0].size
+        sizes = torch.tensor([size * speed for speed in recipe.speeds], dtype=torch.float64)
         height, width = recipe.config.height, recipe.config.width
-        empty = torch.tensor(sizes)[:, None, None, None, None].expand(-1, 2, 9, height, width)
-        return WakeBank(populations=empty, shedding_frequencies=torch.tensor(sizes))
+        empty = sizes.float()[:, None, None, None, None].expand(-1, 2, 9, height, width)
+        return WakeBank(populations=empty, shedding_frequencies=sizes)
 
     monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", develop)
     discs = {"speeds_bl": (1.0, 1.0, 1.5), "diameter_bl": (0.4, 0.6, 0.4), "face_bl": 1.0}
@@ -50,7 +51,8 @@ def test_wakes_match_disc_and_speed_and_each_disc_has_one_file(
         assert task.wakes is not None
         found = task.wakes.shedding_frequencies / task.wakes.shedding_frequencies[0]
         assert found.tolist() == pytest.approx([1.0, 1.5, 1.5])
-        assert torch.equal(task.wakes.populations[:, 0, 0, 0, 0], task.wakes.shedding_frequencies)
+        first = task.wakes.populations[:, 0, 0, 0, 0]
+        assert torch.equal(first, task.wakes.shedding_frequencies.float())
     assert len(recipes) == len(list(tmp_path.iterdir())) == 2
     x, _ = task.origin
     for recipe in recipes:  # the flat side stays in its place

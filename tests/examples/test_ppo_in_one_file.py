@@ -16,7 +16,7 @@ from tests.envs.conftest import SMALL
 from tests.envs.small_tasks import MaskedTask
 
 pytestmark = [pytest.mark.usefixtures("kinematic"), pytest.mark.learning]
-BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.25, "checks_per_action": 6}
+BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.25, "checks_per_action": 12}
 
 
 class Eager(MaskedTask):

@@ -184,6 +184,8 @@ def test_two_bodies_in_a_stream_are_the_same_in_the_in_place_step(storage: Stora
     solver.advance_(60)
     none = torch.zeros(1, SIZE, SIZE, dtype=torch.float64)
     bodies = tuple(make_body(place, 0 * ONE, 0 * ONE) for place in places.unbind(1))
+    carried = torch.tensor([[0.05, 0.0]], dtype=torch.float64)
+    bodies = bodies[0]._replace(velocity=carried), bodies[1]
     state = advance(FlowState(make_uniform(none, none + 0.05, none), bodies), config, 60)
     tolerance = 1e-4 if storage is Storage.FLOAT32 else 5e-3
     assert float(state.bodies[1].impulse[0, 0]) > 1.0
