@@ -215,9 +215,9 @@ def judge(runs: Runs) -> Iterator[Check]:
     """Check the largest difference of each kind."""
     notes = {
         "fish: speed": "Kernel and lattice are not isotropic: D2Q9 lacks third moments.",
-        "fish, bounce-back: speed": "In the fast frames the fish is 5 to 8 % faster at L = 32, 3 "
-        "to 4 % at 50 and 0 to 4 % at 100. Neither the viscosity, which depends on the frame by "
-        "2 %, nor the way uncovered nodes are filled is the cause (study `sharp_skin`).",
+        "fish, bounce-back: speed": "The fish is faster in both directions, so the error is even "
+        "in the speed of the frame. Neither the viscosity, which depends on the frame by 2 %, nor "
+        "the way uncovered nodes are filled is the cause (study `sharp_skin`).",
     }
     for quantity, table in _compare_all(runs).items():
         for kind, (names, limit) in KINDS.items():
