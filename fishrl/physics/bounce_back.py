@@ -22,11 +22,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from fishrl.physics.bodies.gait import Deformation
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.coupling import eliminate
 from fishrl.physics.flow import FlowConfig
-from fishrl.physics.geometry import Markers, Outlines, locate_outlines
+from fishrl.physics.geometry import Markers, Outlines, deform_body, place_markers
 from fishrl.physics.lattice import CX, CY, Q, W
 from fishrl.physics.links import Links, find_links, to_links, to_markers
 from fishrl.physics.rigid_motion import Pair, measure_gain, move_body, report_bodies
@@ -110,26 +111,40 @@ class _Wall(NamedTuple):
 
 
 class Skin(NamedTuple):
-    """Where the skins of all bodies are."""
+    """Where the skin of one body is."""
 
-    outlines: Outlines  #: outlines of the bodies
-    links: tuple[Links, ...]  #: links that each body's outline cuts
+    deformation: Deformation  #: how the body deforms
+    markers: Markers  #: its outline
+    links: Links  #: links that the outline cuts
 
 
-def locate_skin(
-    config: FlowConfig, params: Sequence[BodyParams], states: Sequence[BodyState]
-) -> Skin:
-    """Deform and place the bodies, and find the links that they cut."""
-    outlines = locate_outlines(config, params, states)
-    size = config.width, config.height
-    return Skin(outlines, tuple(find_links(each.position, *size) for each in outlines.markers))
+def locate_skins(
+    config: FlowConfig,
+    params: Sequence[BodyParams],
+    states: Sequence[BodyState],
+    last: Sequence[Skin] | None = None,
+) -> tuple[Skin, ...]:
+    """Deform and place each body, and find the links that its outline cuts.
+
+    With the skins of the ``last`` step, bodies that never move keep theirs.
+    """
+    skins = []
+    for m, (body, own, state) in enumerate(zip(config.bodies, params, states, strict=True)):
+        if last is not None and body.is_still:
+            skins.append(last[m])
+        else:
+            deformation = deform_body(body, own, state)
+            markers = place_markers(state, deformation)
+            links = find_links(markers.position, config.width, config.height)
+            skins.append(Skin(deformation, markers, links))
+    return tuple(skins)
 
 
 def bounce_off_bodies_(
     config: FlowConfig,
     params: Sequence[BodyParams],
     states: Sequence[BodyState],
-    skin: Skin,
+    skins: Sequence[Skin],
     slots: Slots,
     dtype: torch.dtype,
 ) -> tuple[BodyState, ...]:
@@ -139,7 +154,7 @@ def bounce_off_bodies_(
         config: configuration of the flows.
         params: parameters of each body.
         states: state of each body at the start of the step.
-        skin: where their skins are then.
+        skins: where their skins are then.
         slots: populations after collision; what returns from a body replaces what leaves the nodes
             inside it.
         dtype: of the populations.
@@ -147,10 +162,14 @@ def bounce_off_bodies_(
     Returns:
         The bodies one step later.
     """
-    surface = prescribe_surface(config, params, states, skin.outlines, dtype)
+    outlines = Outlines(
+        tuple(skin.deformation for skin in skins), tuple(skin.markers for skin in skins)
+    )
+    surface = prescribe_surface(config, params, states, outlines, dtype)
     changes: list[Tensor] = []
     forces: list[Pair] = []
-    for links, own in zip(skin.links, slice_markers(config.bodies), strict=True):
+    for skin, own in zip(skins, slice_markers(config.bodies), strict=True):
+        links = skin.links
         wall = _meet(slots, links, dtype)
         velocity = [to_links(u, links) for u in surface.velocity[..., own].unbind(1)]
         freedoms = [_cut(free, own) for free in surface.freedoms if free.body == len(forces)]
@@ -165,10 +184,10 @@ def bounce_off_bodies_(
         slots.write_(links.x + links.cx, links.y + links.cy, links.back, returning, links.is_cut)
     fx, fy = (torch.cat(parts, -1) for parts in zip(*forces, strict=True))
     updates = report_bodies(
-        config, states, skin.outlines, surface, changes=changes, force=(fx, fy), slip=None
+        config, states, outlines, surface, changes=changes, force=(fx, fy), slip=None
     )
     moved = []
-    each = zip(config.bodies, params, states, skin.outlines.deformations, updates, strict=True)
+    each = zip(config.bodies, params, states, outlines.deformations, updates, strict=True)
     for body, own_params, state, deformation, update in each:
         # the other totals count the water inside: as if it filled the body and moved with it
         gain, spin_up = measure_gain(own_params, state, deformation, update)
@@ -178,7 +197,11 @@ def bounce_off_bodies_(
 
 
 def uncover_nodes_(
-    config: FlowConfig, states: Sequence[BodyState], before: Skin, now: Skin, slots: Slots
+    config: FlowConfig,
+    states: Sequence[BodyState],
+    before: Sequence[Skin],
+    now: Sequence[Skin],
+    slots: Slots,
 ) -> None:
     """Fill the nodes that the bodies have left in the step just made, in place.
 
@@ -190,9 +213,9 @@ def uncover_nodes_(
         slots: outgoing populations of the step; those that arrive at the uncovered nodes are set.
     """
     for m, (body, state) in enumerate(zip(config.bodies, states, strict=True)):
-        if body.deforms or not body.motion.is_still:
-            former, markers = before.outlines.markers[m].position, now.outlines.markers[m]
-            _uncover_(slots, state, former, markers, now.links[m].along_axes())
+        if not body.is_still:
+            former, skin = before[m].markers.position, now[m]
+            _uncover_(slots, state, former, skin.markers, skin.links.along_axes())
 
 
 def _cut(freedom: Freedom, own: slice) -> Freedom:

@@ -168,7 +168,7 @@ class FlowConfig(Settings):
     @property
     def is_still(self) -> bool:
         """Whether no body ever moves or deforms."""
-        return all(body.motion.is_still and not body.deforms for body in self.bodies)
+        return all(body.is_still for body in self.bodies)
 
     @property
     def fastest_edge(self) -> float:

@@ -41,7 +41,7 @@ from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.bounce_back import (
     bounce_off_bodies_,
     list_slots,
-    locate_skin,
+    locate_skins,
     uncover_nodes_,
 )
 from fishrl.physics.boundaries import apply_boundaries_
@@ -117,9 +117,10 @@ def step(
     increment = compute_force_increment(fluid, (fx, fy), omega, config.rates)
     outgoing = [a + b for a, b in zip(collided, increment, strict=True)]
     if bodies and is_sharp:  # no force: in a copy, reflect what meets the skin, fill what it leaves
-        slots, skin = list_slots(outgoing), locate_skin(config, params.bodies, bodies)
-        bodies = bounce_off_bodies_(config, params.bodies, bodies, skin, slots, f[0].dtype)
-        uncover_nodes_(config, bodies, skin, locate_skin(config, params.bodies, bodies), slots)
+        slots, skins = list_slots(outgoing), locate_skins(config, params.bodies, bodies)
+        bodies = bounce_off_bodies_(config, params.bodies, bodies, skins, slots, f[0].dtype)
+        moved = locate_skins(config, params.bodies, bodies, skins)
+        uncover_nodes_(config, bodies, skins, moved, slots)
         outgoing = slots.get_nodes(outgoing[0])
     # streaming, and the edges at the present speed of the stream (no clock: its full speed)
     incoming = stream(outgoing)

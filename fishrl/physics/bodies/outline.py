@@ -114,6 +114,11 @@ class BodyConfig(Settings, ABC):
         return abs(area), centre, abs(square) - abs(area) * float(centre @ centre)
 
     @property
+    def is_still(self) -> bool:
+        """Whether the body never moves or deforms."""
+        return self.motion.is_still and not self.deforms
+
+    @property
     def spacing(self) -> float:
         """Mean distance of the markers along the outline, nodes."""
         return float(sum(self._lengths)) / self.num_markers

@@ -13,7 +13,7 @@ from fishrl.physics.bounce_back import (
     Skin,
     Slots,
     bounce_off_bodies_,
-    locate_skin,
+    locate_skins,
     make_lattice,
     uncover_nodes_,
 )
@@ -31,6 +31,7 @@ Bodies = tuple[tuple[BodyParams, ...], tuple[BodyState, ...]]
 #: Populations of a group as stored, ``[Q]`` int64 offsets of the slots of each outgoing population,
 #: and ``[B]`` int64 cells of each flow's node (0, 0).
 Places = tuple[Tensor, Tensor, Tensor]
+Skins = tuple[Skin, ...]
 
 BODY_SETTINGS: dict[str, dict[str, object]] = {
     # The part is small and scatters: one thread, and weights are kept, not computed again for every
@@ -131,21 +132,25 @@ def make_coupling(
 
 def make_skin_parts(
     config: FlowConfig, layout: InPlaceLayout, sample: FlowData
-) -> tuple[Part, Part, Part]:
+) -> tuple[Part, list[Part]]:
     """Return the parts of bodies with sharp skins, with the ``sample``'s sizes.
 
-    The first finds the skins after the bodies have moved, the second reflects populations at them
-    and moves the bodies, the third fills the nodes that they have passed. Their tensors are the
-    populations, the lattice as ``Slots`` holds it, the bodies, their skins before and after a step.
+    The first finds all skins, once before many steps. Those of each step reflect populations at
+    the skins and move the bodies, find the skins that have moved, and fill the nodes that they have
+    passed. Their tensors are the populations, the lattice as ``Slots`` holds it, the bodies, their
+    skins before and after a step.
     """
     device = sample.clock.device
     places, lattice = find_places(layout, device), make_lattice(device)
     # before even and before odd steps
-    skins = [keep(locate_skin(config, sample.params.bodies, sample.bodies)) for _ in range(2)]
-    if config.is_still:
-        skins[1] = skins[0]
+    skins = [keep(locate_skins(config, sample.params.bodies, sample.bodies)) for _ in range(2)]
+    # bodies that never move have one for both
+    skins[1] = tuple(
+        first if body.is_still else second
+        for body, first, second in zip(config.bodies, *skins, strict=True)
+    )
 
-    def collect(memory: GroupMemory, parity: int) -> tuple[Places, Tensor, Bodies, Skin, Skin]:
+    def collect(memory: GroupMemory, parity: int) -> tuple[Places, Tensor, Bodies, Skins, Skins]:
         before, after = skins[parity], skins[1 - parity]
         return places(memory, parity), lattice, get_bodies(memory), before, after
 
@@ -162,18 +167,31 @@ def make_skin_parts(
             storage=config.storage,
         )
 
-    def locate(places: Places, lattice: Tensor, bodies: Bodies, before: Skin, after: Skin) -> None:
-        copy_tree(after, locate_skin(config, *bodies))
+    def locate(
+        places: Places, lattice: Tensor, bodies: Bodies, before: Skins, after: Skins
+    ) -> None:
+        copy_tree(after, locate_skins(config, *bodies))
 
-    def reflect(places: Places, lattice: Tensor, bodies: Bodies, before: Skin, after: Skin) -> None:
+    def follow(
+        places: Places, lattice: Tensor, bodies: Bodies, before: Skins, after: Skins
+    ) -> None:
+        copy_tree(after, locate_skins(config, *bodies, before))
+
+    def reflect(
+        places: Places, lattice: Tensor, bodies: Bodies, before: Skins, after: Skins
+    ) -> None:
         slots = list_slots(places, lattice)
         copy_tree(bodies[1], bounce_off_bodies_(config, *bodies, before, slots, torch.float32))
 
-    def uncover(places: Places, lattice: Tensor, bodies: Bodies, before: Skin, after: Skin) -> None:
+    def uncover(
+        places: Places, lattice: Tensor, bodies: Bodies, before: Skins, after: Skins
+    ) -> None:
         uncover_nodes_(config, bodies[1], before, after, list_slots(places, lattice))
 
-    return (
-        Part("skin", collect, locate, BODY_SETTINGS),
-        Part("reflection", collect, reflect, BODY_SETTINGS),
-        Part("uncovering", collect, uncover, BODY_SETTINGS),
-    )
+    start = moved = Part("skin", collect, locate, BODY_SETTINGS)
+    reflection = Part("reflection", collect, reflect, BODY_SETTINGS)
+    if config.is_still:
+        return start, [reflection]
+    if any(body.is_still for body in config.bodies):
+        moved = Part("moved skin", collect, follow, BODY_SETTINGS)
+    return start, [reflection, moved, Part("uncovering", collect, uncover, BODY_SETTINGS)]

@@ -49,9 +49,8 @@ class Stepper:
         self.locate: Part | None = None
         self.parts: list[Part] = [make_collision(config)]
         if config.bodies and config.coupling is Coupling.BOUNCE_BACK:
-            locate, reflect, uncover = make_skin_parts(config, layout, sample)
-            self.locate = locate
-            self.parts += [reflect] if config.is_still else [reflect, locate, uncover]
+            self.locate, parts = make_skin_parts(config, layout, sample)
+            self.parts += parts
         elif config.bodies:
             is_kept = config.is_still or uses_triton
             geometry = keep_geometry(config, sample) if is_kept else None
