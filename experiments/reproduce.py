@@ -6,7 +6,6 @@ finished jobs are not repeated unless their settings change. ``plan=true`` only 
 Tables and figures are written to ``reproduction.md`` and ``reproduction.html`` in the folder.
 """
 
-import fcntl
 import subprocess
 import sys
 import time
@@ -22,6 +21,7 @@ from experiments.benchmarks.machine import describe_machine
 from experiments.paper import find_fitted, write_page
 from fishrl.__main__ import list_programs
 from fishrl.files import make_folder
+from fishrl.locks import take_lock
 from fishrl.programs.configuration import quote
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import find_runs
@@ -191,13 +191,11 @@ class Record:
 @contextmanager
 def alone(folder: Path) -> Iterator[int]:
     """Hold a folder until the block and all processes started in it have ended; yield the lock."""
-    with (folder / "lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+    with (folder / "lock").open("w") as file:
+        if not take_lock(file, is_passed_on=True):
             print(f"waiting for a job that still runs in {folder}", flush=True)
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        yield lock.fileno()
+            take_lock(file, waits=True, is_passed_on=True)
+        yield file.fileno()
 
 
 def run_job(job: Job, record: Record, lock: int) -> None:

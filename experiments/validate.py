@@ -6,7 +6,6 @@ Results are cached in the folder: the same command continues after an interrupti
 jobs that a change to the physics or to a case affects. Exits with status 1 if a criterion fails.
 """
 
-import os
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -16,6 +15,7 @@ from pydantic import PositiveInt
 from experiments.validation.case import MISSED, Case
 from experiments.validation.report import render_table, summarise, write_report
 from experiments.validation.runner import run_cases
+from fishrl.limits import count_cores
 from fishrl.programs.configuration import unknown
 from fishrl.programs.program import program
 from fishrl.settings import Settings
@@ -48,7 +48,7 @@ class ValidateSettings(Settings):
     cases: tuple[str, ...] = ()
     quick: bool = False
     fresh: bool = False
-    jobs: PositiveInt = os.cpu_count() or 1
+    jobs: PositiveInt = count_cores()
     folder: str = "runs/validation"
     docs: str = "docs"
 

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 from weakref import WeakSet
 
+#: Whether this system has process groups; Windows has none.
+CAN_START = hasattr(os, "killpg")
 _PARENT_CHECK_MS = 1000
 _children: "WeakSet[subprocess.Popen[bytes]]" = WeakSet()
 
@@ -21,7 +23,12 @@ def start_child(code: str, *arguments: str, **options: Any) -> subprocess.Popen[
     Processes forked from this one do not keep it open; the child also watches this process itself.
     The child finds modules where this process does.
     ``options`` are those of ``subprocess.Popen``.
+
+    Raises:
+        ValueError: on a system without process groups.
     """
+    if not CAN_START:
+        raise ValueError("child processes need Linux or macOS; on Windows use its Linux (WSL)")
     folders = [*map(str, sys.path), str(Path(__file__).parents[1])]
     start = f"import sys; sys.path[:] = {folders!r}"
     code = f"{start}; import fishrl.children; fishrl.children.end_with_pipe({os.getpid()}); {code}"

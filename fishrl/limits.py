@@ -23,7 +23,8 @@ def count_cores() -> int:
 
 def measure_machine_memory() -> float:
     """Return the bytes of memory that this process may use."""
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    look = getattr(os, "sysconf", None)  # not on Windows
+    total = look("SC_PAGE_SIZE") * look("SC_PHYS_PAGES") if look else inf
     limits = [*_read("memory", "memory.max"), *_read("memory", "memory.limit_in_bytes")]
     return min([total, *(int(size) if size.isdigit() else inf for (size,) in limits)])
 

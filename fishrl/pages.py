@@ -7,6 +7,8 @@ from pathlib import Path
 
 from fishrl.files import staged
 
+#: How a formula of a spreadsheet begins, and a number with a sign.
+_FORMULA = re.compile(r"\s*[=+\-@＝＋－＠]")
 _MARKUP = r"[\\|<]|(?<=\])[(\[]"
 
 
@@ -28,9 +30,20 @@ def write_table(
 
 
 def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a CSV file."""
+    """Write a CSV file; an apostrophe begins words that a spreadsheet would take for a formula."""
+    cells = [[_disarm(cell) for cell in row] for row in (heads, *rows)]
     with staged(path) as stage, stage.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([heads, *rows])
+        csv.writer(file).writerows(cells)
+
+
+def _disarm(cell: object) -> object:
+    if not isinstance(cell, str) or not _FORMULA.match(cell):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell
 
 
 def escape(text: str, pattern: str = _MARKUP) -> str:

@@ -41,6 +41,7 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/pages.py", {"fishrl.files"}),
     ("fishrl/extras.py", {"packaging"}),
     ("fishrl/limits.py", set()),
+    ("fishrl/locks.py", set()),
     ("fishrl/memory.py", {"torch", "fishrl.limits"}),
     ("fishrl/torch_state.py", {"torch"}),
     ("fishrl/physics/fast/triton_coupling.py", {"torch", "triton"}),
@@ -82,6 +83,7 @@ OWN = {"fishrl", "experiments"}
 #: Packages, and the only files that import them: modules for users of other frameworks, say.
 IMPORTERS: tuple[tuple[set[str], tuple[str, ...]], ...] = (
     ({"rerun"}, ("fishrl/viewer/",)),
+    ({"fcntl"}, ("fishrl/locks.py",)),
     (
         {"gymnasium", "minari", "stable_baselines3", "sb3_contrib", "fishrl.wrappers"},
         ("fishrl/wrappers/", "fishrl/programs/export_data.py"),
@@ -180,6 +182,12 @@ def test_the_library_logs_and_never_prints() -> None:
         calls = [node for node in ast.walk(_parse(path)) if isinstance(node, ast.Call)]
         lines = [call.lineno for call in calls if ast.unparse(call.func) == "print"]
         assert not lines, f"{_relative(path)} prints on lines {lines}: use logging"
+
+
+def test_cores_are_counted_as_a_container_allows() -> None:
+    for path in set(_sources("fishrl", "experiments")) - {ROOT / "fishrl/limits.py"}:
+        names = {getattr(node, "attr", "") for node in ast.walk(_parse(path))}
+        assert "cpu_count" not in names, f"{_relative(path)}: use fishrl.limits.count_cores"
 
 
 @cache

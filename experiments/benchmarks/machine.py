@@ -1,12 +1,14 @@
 """Description of the machine that something was measured on."""
 
-import os
 import platform
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import psutil
 import torch
+
+from fishrl.limits import count_cores
 
 PACKAGES = ("torchrl", "tensordict", "numpy")
 
@@ -18,14 +20,14 @@ def describe_machine() -> dict[str, Any]:
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return {
         "cpu": (models or [platform.processor() or platform.machine()])[0],
-        "cores": os.cpu_count(),
+        "cores": count_cores(),
         "torch": torch.__version__,
         "python": platform.python_version(),
         "instructions": torch.backends.cpu.get_cpu_capability(),
         "caches": read_caches(),
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
         "versions": {name: version(name) for name in PACKAGES},
-        "load": round(os.getloadavg()[0], 2),
+        "load": round(psutil.getloadavg()[0], 2),
     }
 
 

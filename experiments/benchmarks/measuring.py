@@ -6,7 +6,6 @@ its own threads.
 """
 
 import json
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ import torch
 from pydantic import Field, PositiveFloat, PositiveInt
 from tqdm import tqdm
 
+from fishrl.limits import count_cores
 from fishrl.settings import Settings
 
 _PAUSE = 0.01  # seconds; threads of GNU's OpenMP were seen to spin for four milliseconds
@@ -43,7 +43,7 @@ class BenchmarkSettings(Settings):
     """
 
     body_length: Annotated[int, Field(ge=80)] = 100  # at least 16 nodes in a small case too
-    threads: PositiveInt = os.cpu_count() or 1
+    threads: PositiveInt = count_cores()
     rounds: Annotated[int, Field(ge=2)] = 15
     burst: PositiveFloat = 0.1
     groups: tuple[str, ...] = ()

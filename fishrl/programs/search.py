@@ -7,7 +7,6 @@ lies in ``study.db`` in the folder: the same command continues it, an interrupte
 first; started several times at once, it searches with several processes.
 """
 
-import fcntl
 import logging
 import sqlite3
 import sys
@@ -27,6 +26,7 @@ except ImportError:  # it comes with the extra `sweep`
 
 from fishrl.extras import show_install
 from fishrl.files import make_folder
+from fishrl.locks import take_lock
 from fishrl.pages import show
 from fishrl.programs.configuration import parse, quote
 from fishrl.programs.program import program, show_command
@@ -131,8 +131,8 @@ def search(settings: SearchSettings) -> Any:
         run_trial(settings, study, trial.number)
     while len(study.trials) < settings.trials:
         # Each trial has its own seed, also where several processes search: nothing is drawn twice.
-        with (settings.path / "study.lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        with (settings.path / "study.lock").open("w") as held:
+            take_lock(held, waits=True, is_passed_on=True)
             study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
             number = study.ask(settings.space()).number
         try:
@@ -147,10 +147,10 @@ def run_trial(settings: SearchSettings, study: Any, number: int) -> None:
     place = RunFolder(settings.path / ".trials" / f"{number:04d}")
     place.path.mkdir(parents=True, exist_ok=True)
     try:
-        lock = place.hold()
+        held = place.hold()
     except HeldError:
         return
-    with lock:
+    with held:
         trial = study.trials[number]  # read again: another process may just have finished it
         if trial.state != optuna.trial.TrialState.RUNNING:
             return

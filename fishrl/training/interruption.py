@@ -96,6 +96,9 @@ def ignore_signals_in_children() -> Iterator[None]:
     A terminal sends Ctrl-C to the whole process group; flow workers must outlive it until this
     process has saved their flows. A signal that arrives meanwhile is handled at the end.
     """
+    if not hasattr(signal, "pthread_sigmask"):  # on Windows, where none are started
+        yield
+        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import itertools
 import json
 import logging
@@ -18,6 +17,7 @@ import yaml
 
 from fishrl.envs.transforms import ORACLE
 from fishrl.files import check_names, staged
+from fishrl.locks import take_lock
 from fishrl.training.classifier import OWN
 from fishrl.training.interruption import Interrupted
 from fishrl.training.plain_files import Count, Stored, Tree, read_plain
@@ -102,15 +102,11 @@ class RunFolder:
     def hold(self) -> TextIO:
         """Lock the run until the file is closed or the process ends, or raise HeldError."""
         file = self.lock.open("a")
-        try:
-            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except (BlockingIOError, PermissionError) as error:
+        if not take_lock(file):
             file.close()
             raise HeldError(
                 f"run folder {self.path}: another process writes it; wait for it or end it"
-            ) from error
-        except OSError as error:  # a file system without locks
-            logger.info("%s cannot be locked (%s): start nothing twice", self.path, error)
+            )
         return file
 
     @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import subprocess
 import sys
 import time
@@ -170,11 +169,11 @@ def test_failed_trials_are_recorded_and_others_follow(
 def test_searches_that_begin_at_once_draw_different_settings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sampler, lock, both = optuna.samplers.TPESampler, fcntl.flock, Barrier(2)
+    sampler, lock, both = optuna.samplers.TPESampler, search.take_lock, Barrier(2)
 
-    def meet(*arguments: Any) -> None:
+    def meet(file: Any, **how: Any) -> None:
         both.wait(60.0)  # neither has counted the trials yet
-        lock(*arguments)
+        lock(file, **how)
 
     def hesitate(*, seed: int | None = None) -> Any:
         time.sleep(0.5)  # the other search counts the trials meanwhile
@@ -184,7 +183,7 @@ def test_searches_that_begin_at_once_draw_different_settings(
     plan = plan_of(tmp_path, "gamma=interval(0,1)")
     study = search.open_study(plan)
     monkeypatch.setattr(optuna.samplers, "TPESampler", hesitate)
-    monkeypatch.setattr(search.fcntl, "flock", meet)
+    monkeypatch.setattr(search, "take_lock", meet)
     with ThreadPoolExecutor() as pool:
         list(pool.map(search.search, [replace(plan, trials=1)] * 2))
     assert len({trial.params["gamma"] for trial in study.trials}) == len(study.trials) == 2

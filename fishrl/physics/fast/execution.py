@@ -44,7 +44,8 @@ class Execution:
         if num_workers < 0 or (num_workers and not can_share):
             raise ValueError(
                 f"num_workers = {num_workers} on {device}: must be 0 on a GPU; on a CPU, workers "
-                "need each class of the configuration in a module, not in a script or function"
+                "need Linux or macOS, and each class of the configuration in a module, not in a "
+                "script or function"
             )
         self.group_size = flows_per_launch or (1 if is_cpu else num_envs)
         if self.group_size < 1 or num_envs % self.group_size:

@@ -22,7 +22,7 @@ from typing import IO
 import torch
 from torch import Tensor
 
-from fishrl.children import start_child
+from fishrl.children import CAN_START, start_child
 from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.flow import FlowConfig
 
@@ -43,9 +43,9 @@ def map_shared(file: int, num_bytes: int) -> Tensor:
 
 
 def can_send(configs: Sequence[FlowConfig]) -> bool:
-    """Return whether workers can import every class of the flows; not if a script defines one."""
+    """Return whether workers can start and import the flows' classes; none of a script."""
     try:
-        return b"__main__" not in pickle.dumps(configs)
+        return CAN_START and b"__main__" not in pickle.dumps(configs)
     except (AttributeError, TypeError, pickle.PicklingError):  # a class within a function
         return False
 

@@ -1,12 +1,12 @@
 """Runs as read from their folders: settings, results, status, and the command that resumes each."""
 
-import fcntl
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fishrl.files import check_names
+from fishrl.locks import take_lock
 from fishrl.pages import show
 from fishrl.programs.configuration import quote
 from fishrl.programs.program import show_command
@@ -93,17 +93,11 @@ def count_frames(path: Path) -> int:
 
 def is_held(path: Path) -> bool:
     """Tell whether another process writes a run; see ``RunFolder.hold``."""
-    lock = RunFolder(path).lock
-    if not lock.is_file():
+    path = RunFolder(path).lock
+    if not path.is_file():
         return False
-    with lock.open() as file:
-        try:
-            fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except (BlockingIOError, PermissionError):
-            return True
-        except OSError:  # a file system without locks
-            return False
-    return False
+    with path.open() as file:
+        return not take_lock(file)
 
 
 def advise(runs: Sequence[Run], *, modules: Sequence[str] = ()) -> str:

@@ -1,0 +1,39 @@
+"""Locks of files, which end with the process that holds them."""
+
+import logging
+from typing import IO, Any
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+logger = logging.getLogger(__name__)
+
+
+def take_lock(file: IO[Any], *, waits: bool = False, is_passed_on: bool = False) -> bool:
+    """Lock an open file until it is closed or this process ends.
+
+    A file that is open for reading gets a lock that others may share. On a system or a file system
+    without locks, that is logged.
+
+    Args:
+        file: the file.
+        waits: wait until it is free.
+        is_passed_on: child processes that get the open file hold the lock too, and threads of this
+            process exclude each other.
+
+    Returns:
+        Whether it is locked, or cannot be; False if another process holds it.
+    """
+    try:
+        if fcntl is None:
+            raise OSError("this system has no fcntl")
+        how = fcntl.LOCK_EX if file.writable() else fcntl.LOCK_SH
+        take = fcntl.flock if is_passed_on else fcntl.lockf
+        take(file, how if waits else how | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError as error:
+        logger.info("%s cannot be locked (%s): start nothing twice", file.name, error)
+    return True
