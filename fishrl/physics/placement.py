@@ -32,7 +32,6 @@ def check_placement(
     Raises:
         ValueError: naming the first flow and bodies that are misplaced.
     """
-    margin = config.margin
     names = [f"{index} ({type(body).__name__})" for index, body in enumerate(config.bodies)]
     chosen = rows.nonzero()[:, 0]
     params, states = pytree.tree_map(lambda t: t[chosen], (list(params), list(states)))
@@ -41,9 +40,7 @@ def check_placement(
         _require(
             chosen,
             lies_inside(outline, config),
-            f"body {name} reaches beyond the grid: keep its markers within x = "
-            f"{margin:g} to {config.width - 1 - margin:g} and y = {margin:g} to "
-            f"{config.height - 1 - margin:g}",
+            f"body {name} reaches beyond the grid: {describe_inside(config)}",
         )
     for (name, one), (other_name, other) in combinations(zip(names, outlines, strict=True), 2):
         _require(
@@ -76,6 +73,15 @@ def spread_starts(
             f"{shape}, one for each of the {shape[1]} bodies in {num_envs} flows"
         )
     return position, heading
+
+
+def describe_inside(config: FlowConfig) -> str:
+    """Return where ``lies_inside`` wants the markers of a body, as a remedy."""
+    low, right, top = config.margin, config.width - 1, config.height - 1
+    return (
+        f"keep its markers within x = {low:g} to {right - low:g} and y = {low:g} to {top - low:g}, "
+        "as bodies cross no edge, periodic ones included"
+    )
 
 
 def lies_inside(outline: Tensor, config: FlowConfig) -> Tensor:

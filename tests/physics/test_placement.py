@@ -1,11 +1,24 @@
 """Bodies that lie in each other or beyond the grid at the start are refused."""
 
-from math import pi
+from dataclasses import replace
+from itertools import product
+from math import cos, pi, sin
+from random import Random
 
 import pytest
 import torch
 
-from fishrl.physics import Cylinder, Ellipse, Fish, FlowConfig, InPlaceSolver
+from fishrl.physics import (
+    Boundaries,
+    Coupling,
+    Cylinder,
+    Driven,
+    Ellipse,
+    Fish,
+    FlowConfig,
+    InPlaceSolver,
+)
+from fishrl.physics.cases import PERIODIC
 
 EVERY = torch.tensor([True, True])
 
@@ -77,3 +90,25 @@ def test_several_bodies_need_a_place_before_they_move() -> None:
     other = make_solver(Cylinder(diameter=12), Cylinder(diameter=16))
     other.load_state_dict(solver.state_dict())
     other.advance_(2)
+
+
+EDGES = PERIODIC, Boundaries(), Boundaries.make_stream()
+CASES = [(number, *case) for number, case in enumerate(product(Coupling, EDGES))]
+
+
+@pytest.mark.parametrize(("number", "coupling", "edges"), CASES)
+def test_a_body_that_crosses_an_edge_is_named_as_the_reason(
+    number: int, coupling: Coupling, edges: Boundaries, caplog: pytest.LogCaptureFixture
+) -> None:
+    """With an immersed boundary the flow is not finite soon after."""
+    angle = Random(number).uniform(0.0, 2.0 * pi)
+    motion = Driven(velocity=(0.29 * cos(angle), 0.29 * sin(angle)))
+    body = Cylinder(diameter=8, motion=motion, **coupling.body_settings)
+    flow = FlowConfig(width=24, height=24, tau=0.8, stream_speed=0.1, boundaries=edges)
+    flow = replace(flow, bodies=(body,), coupling=coupling)
+    solver = InPlaceSolver(config=flow, num_envs=1, compile=False)
+    for _ in range(4):
+        solver.advance_(30)
+    assert solver.is_diverged().all()
+    (record,) = caplog.records
+    assert record.message.startswith("flows [0] lose a body at an edge: keep its markers within x")

@@ -24,7 +24,7 @@ from fishrl.physics.flow import (
 )
 from fishrl.physics.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
-from fishrl.physics.placement import check_placement, lies_inside, spread_starts
+from fishrl.physics.placement import check_placement, describe_inside, lies_inside, spread_starts
 from fishrl.torch_state import with_own_state
 
 logger = logging.getLogger(__name__)
@@ -111,8 +111,8 @@ class InPlaceSolver:
         each flow is its own group by default. On a GPU all flows are one group, which always
         advances, since the host would have to wait to see whether any row must.
 
-        On a CPU a warning is logged, once, for flows that are no longer finite; not with ``rows``,
-        whose caller, such as the environment, handles each flow.
+        On a CPU a warning is logged, once, for flows that are no longer finite or that a body has
+        left; not with ``rows``, whose caller, such as the environment, handles each flow.
 
         Raises:
             ValueError: for an odd number of steps, for ``rows`` that are not ``[B]`` bool, and for
@@ -130,10 +130,24 @@ class InPlaceSolver:
             )
         self._execution.advance_(num_steps, groups)
         if rows is None and self.device.type == "cpu":
-            was_lost, self._is_lost = self._is_lost, self._batch.is_lost()
-            if (self._is_lost & ~was_lost).any():
-                lost = self._is_lost.nonzero()[:, 0].tolist()
-                logger.warning("flows %s have diverged: lower stream_speed or raise tau", lost)
+            self._report()
+
+    def _report(self) -> None:
+        """Log flows that have diverged since the last time, or that a body has left."""
+        has_left = torch.zeros_like(self._is_lost)
+        for index in range(len(self.bodies)):
+            outline = self.markers(index)
+            is_known = outline.isfinite().flatten(1).all(-1)  # not a free body's in a lost flow
+            has_left |= is_known & ~lies_inside(outline, self.config)
+        was_lost, self._is_lost = self._is_lost, self._batch.is_lost() | has_left
+        new = self._is_lost & ~was_lost
+        advice = "lower stream_speed, raise tau, or keep free bodies from the edges"
+        for flows, problem in (
+            (new & has_left, f"lose a body at an edge: {describe_inside(self.config)}"),
+            (new & ~has_left, f"have diverged: {advice}"),
+        ):
+            if flows.any():
+                logger.warning("flows %s %s", flows.nonzero()[:, 0].tolist(), problem)
 
     def _choose(self, rows: Tensor | None) -> Tensor:
         """Return ``rows`` ``[B]`` on the device of the flows, all of them for None."""
