@@ -53,6 +53,16 @@ class Coupling(Enum):
         """Smallest and largest mean distance of a body's markers, nodes."""
         return (0.1, MAX_SPACING) if self is Coupling.BOUNCE_BACK else (0.4, 2.1)
 
+    def find_least_density(self, body: BodyConfig) -> float:
+        """Return the least ``density_ratio`` of a body that the flow moves, for a stable flow.
+
+        With ``IMPLICIT`` a body may lack the mass of water of one node around its outline; see
+        "Motion" in the documentation's theory for the measurements.
+        """
+        if self is not Coupling.IMPLICIT:
+            return 0.0 if self is Coupling.BOUNCE_BACK else 1.0
+        return max(0.0, 1.0 - body.spacing * body.num_markers / body.area)
+
 
 class Sponge(Settings):
     """A strip along an edge where the viscosity rises smoothly and damps vortices and sound.
@@ -137,6 +147,13 @@ class FlowConfig(Settings):
                 raise ValueError(
                     f"{type(body).__name__} with inset = {body.inset}: must be 0 with coupling = "
                     f"{self.coupling.value!r}, whose skin lies at the markers"
+                )
+            least = self.coupling.find_least_density(body)
+            if body.motion.free_axes and body.density_ratio < least:
+                raise ValueError(
+                    f"{type(body).__name__} with density_ratio = {body.density_ratio}: must be at "
+                    f"least {least:.3g} at this size, as a lighter one is unstable with coupling = "
+                    f"{self.coupling.value!r}; give coupling = Coupling.BOUNCE_BACK"
                 )
             if body.size > min(self.width, self.height) - 4:
                 raise ValueError(

@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
 from torch import Tensor
 
-from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Scales
+from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, InPlaceSolver, Scales
 from fishrl.physics.bodies.motion import Commanded, Driven, Free
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
@@ -152,3 +153,29 @@ def test_a_fish_that_does_not_beat_drifts_with_the_stream_from_the_first_step(
         drift = (solver.body.position - CENTRE)[0] / solver.body.age
         assert drift.tolist() == pytest.approx([0.05, -0.02], abs=1e-6)
     assert float(solver.body.hydro_force.abs().max()) < 1e-5
+
+
+@pytest.mark.parametrize("size", [8, 16])
+@pytest.mark.parametrize(
+    ("coupling", "lightest"), [(Coupling.IMPLICIT, 0.0), (Coupling.BOUNCE_BACK, 0.01)]
+)
+def test_the_lightest_disc_rises_as_its_added_mass_says(
+    coupling: Coupling, lightest: float, size: int
+) -> None:
+    """At first like mass and added mass of potential flow, one of water; its boundary layer brakes.
+
+    Sound crosses the disc in some 30 steps at most.
+    """
+    disc = partial(Cylinder, diameter=size, motion=Free(), **coupling.body_settings)
+    ratio = max(lightest, coupling.find_least_density(disc()))
+    body, push = disc(density_ratio=ratio), 1e-5
+    config = FlowConfig(
+        width=4 * size, height=4 * size, tau=0.55, bodies=(body,), coupling=coupling
+    )
+    solver = InPlaceSolver(config=config, compile=False)
+    solver.body.load[:, 1] = push * body.area
+    solver.advance_(40)
+    share = float(solver.body.velocity[0, 1]) * (1.0 + ratio) / (40 * push)
+    solver.advance_(160)
+    assert 0.5 < share < 1.0
+    assert 0.0 < float(solver.body.velocity[0, 1]) * (1.0 + ratio) < 200 * push * share

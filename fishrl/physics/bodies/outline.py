@@ -31,7 +31,8 @@ class BodyConfig(Settings, ABC):
     """A body in the flow.
 
     Args:
-        density_ratio: body density over fluid density; 1 is neutrally buoyant.
+        density_ratio: body density over fluid density; 1 is neutrally buoyant. What a body that the
+            flow moves may have depends on the coupling, see ``FlowConfig``.
         marker_spacing: target distance of the markers along the outline, in nodes.
         inset: how far the markers lie inside the outline, nodes. A marker's force is spread over
             the nodes around it, so the effective body is 0.45 nodes larger than its markers'
@@ -47,7 +48,7 @@ class BodyConfig(Settings, ABC):
 
     deforms: ClassVar[bool] = False
 
-    density_ratio: Annotated[float, Field(ge=1)] = 1.0
+    density_ratio: Annotated[float, Field(gt=0)] = 1.0
     marker_spacing: Annotated[float, Field(ge=0.5, le=2)] = 1.0
     inset: Annotated[float, Field(ge=0, le=1)] = 0.45
     num_markers: NonNegativeInt = 0
