@@ -2,11 +2,17 @@
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DEV_STAMP := $(VENV)/.dev
 DOCS_STAMP := $(VENV)/.docs
 TRITON_STAMP := $(VENV)/.triton
 ARGS ?=
 # The build of torch that everything is resolved for.
 TORCH ?= $(shell grep '^torch==' constraints.txt)
+# auto takes torch's CPU build unless there is a GPU; or choose one: make setup TORCH_BACKEND=cu130
+TORCH_BACKEND ?= auto
+# uv is fast and finds the builds of torch; where it cannot reach them, pip installs its default.
+UV := $(BIN)/uv pip install --quiet --python $(BIN)/python -c constraints.txt
+PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt
 # The first of these that is Python 3.11 to 3.14; or choose one: make setup PYTHON=/path/to/python3.13
 PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python3.14; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))' 2>/dev/null \
@@ -22,17 +28,23 @@ PARALLEL ?= $(PROCESSES) --dist loadfile --no-loadscope-reorder
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 16
 
-setup: $(STAMP) ## install everything into .venv
+setup: $(DEV_STAMP) ## install everything into .venv, also what tests and exports need
 
 # torch is installed first and pinned, so that no dependency replaces its build.
 $(STAMP): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "no Python 3.11 to 3.14 found: install one, or set PYTHON=..."; exit 1; }
-	@echo "setting up $(VENV) with $(PYTHON): a few minutes, once"
+	@echo "setting up $(VENV) with $(PYTHON), once"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "1/2 torch"
-	@$(BIN)/python -m pip install --quiet "$(TORCH)" -c constraints.txt
-	@echo "2/2 everything else"
-	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -e '.[dev]' -c constraints.txt
+	@$(PIP) uv
+	@echo "1/2 torch, $(TORCH_BACKEND): 0.2 GB for a CPU, several GB for a GPU"
+	@$(UV) --torch-backend=$(TORCH_BACKEND) "$(TORCH)" || $(PIP) "$(TORCH)"
+	@echo "2/2 everything else: 0.4 GB"
+	@$(UV) -e . || $(PIP) -e .
+	@touch $@
+
+$(DEV_STAMP): $(STAMP)
+	@echo "installing what tests, exports and sweeps need: 0.6 GB, once"
+	@$(UV) -e '.[dev]' || $(PIP) -e '.[dev]'
 	@touch $@
 
 train: $(STAMP) ## train a policy to catch moving food; ARGS="seed=1 ..." sets any setting
@@ -41,12 +53,12 @@ train: $(STAMP) ## train a policy to catch moving food; ARGS="seed=1 ..." sets a
 demo: $(STAMP) ## film trained policies that catch food and hold station
 	$(BIN)/fishrl demo $(ARGS)
 
-test: $(STAMP) ## run the tests, including a short training; ARGS="tests/physics" selects some
+test: $(DEV_STAMP) ## run the tests, including a short training; ARGS="tests/physics" selects some
 	$(BIN)/python -m pytest $(PARALLEL) -m "$(MARKERS)" $(ARGS)
 
 # Triton comes with torch's builds for CUDA; elsewhere it runs and compiles their kernels on the host.
-$(TRITON_STAMP): $(STAMP)
-	@$(BIN)/python -m pip install --quiet -e '.[triton]' -c constraints.txt
+$(TRITON_STAMP): $(DEV_STAMP)
+	@$(UV) -e '.[triton]' || $(PIP) -e '.[triton]'
 	@touch $@
 
 GPU_MARKERS ?= (gpu or smoke) and not slow
@@ -56,14 +68,14 @@ test-gpu: $(TRITON_STAMP) ## run the GPU and smoke tests on a GPU, or an emulate
 	PRETEND_CUDA=1 SMOKE_DEVICE=cuda PYTHONPATH=tests/pretend $(BIN)/python -m pytest $(PARALLEL) \
 		-m "$(GPU_MARKERS)" $(ARGS) $(GPU_FOLDERS)
 
-test-all: $(STAMP) ## run all tests, including the slow ones and those of make smoke
+test-all: $(DEV_STAMP) ## run all tests, including the slow ones and those of make smoke
 	$(BIN)/python -m pytest $(ARGS)
 
-smoke: $(STAMP) ## run each task, algorithm and program for a few steps, under 90 s
+smoke: $(DEV_STAMP) ## run each task, algorithm and program for a few steps, under 90 s
 	$(BIN)/python -m pytest $(PROCESSES) -m "smoke and not slow" $(ARGS)
 
-$(DOCS_STAMP): $(STAMP)
-	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -e '.[docs]' -c constraints.txt
+$(DOCS_STAMP): $(DEV_STAMP)
+	@$(UV) -e '.[docs]' || $(PIP) -e '.[docs]'
 	@touch $@
 
 docs: $(DOCS_STAMP) ## build the documentation into build/docs; warnings are errors
@@ -79,25 +91,25 @@ constraints: ## rewrite constraints.txt with the newest versions that pyproject.
 	@{ grep '^#' constraints.txt; grep -E '^[A-Za-z0-9_.-]+==' build/pip-tools/pins.txt; } > build/pip-tools/new.txt
 	@mv build/pip-tools/new.txt constraints.txt
 
-coverage: $(STAMP) ## run the tests and report which lines of fishrl they miss, in build/coverage
+coverage: $(DEV_STAMP) ## run the tests and report which lines of fishrl they miss, in build/coverage
 	$(BIN)/python -m pytest $(PARALLEL) -m "$(MARKERS)" --cov=fishrl --cov-report=term:skip-covered --cov-report=html:build/coverage $(ARGS)
 
-check: $(STAMP) ## lint, formatting, types, import rules
+check: $(DEV_STAMP) ## lint, formatting, types, import rules
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/test_architecture.py
 
-bench: $(STAMP) ## run the benchmarks, about ten minutes; ARGS="groups=[solver,coupled]" selects some
+bench: $(DEV_STAMP) ## run the benchmarks, about ten minutes; ARGS="groups=[solver,coupled]" selects some
 	$(BIN)/python -m experiments.benchmark $(ARGS)
 
-validate: $(STAMP) ## compare the solver with the literature and write docs/validation.md
+validate: $(DEV_STAMP) ## compare the solver with the literature and write docs/validation.md
 	$(BIN)/python -m experiments.validate $(ARGS)
 
-validate-quick: $(STAMP) ## coarse cases only, about a minute; the page goes to runs/validation
+validate-quick: $(DEV_STAMP) ## coarse cases only, about a minute; the page goes to runs/validation
 	$(BIN)/python -m experiments.validate quick=true $(ARGS)
 
-format: $(STAMP) ## format the code
+format: $(DEV_STAMP) ## format the code
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 

@@ -54,8 +54,14 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     (TORCHRL_FILES, TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/wakes.py", TENSORS | {"tqdm"} | TASK_SIDE),
     (
-        "fishrl/wrappers/gymnasium.py",
+        "fishrl/wrappers/vector.py",
         TENSORS | {"torchrl", "gymnasium", "fishrl.extras", "fishrl.viewer"} | TASK_SIDE,
+    ),
+    ("fishrl/wrappers/single.py", {"numpy", "gymnasium", "fishrl.wrappers"}),
+    ("fishrl/wrappers/gymnasium.py", {"gymnasium", "fishrl.envs", "fishrl.wrappers"}),
+    (
+        "fishrl/wrappers/pettingzoo.py",
+        TENSORS | {"torchrl", "gymnasium", "pettingzoo", "fishrl.extras"} | TASK_SIDE,
     ),
     (
         "fishrl/wrappers/stable_baselines.py",
@@ -85,7 +91,10 @@ IMPORTERS: tuple[tuple[set[str], tuple[str, ...]], ...] = (
     ({"rerun"}, ("fishrl/viewer/",)),
     ({"fcntl"}, ("fishrl/locks.py",)),
     (
-        {"gymnasium", "minari", "stable_baselines3", "sb3_contrib", "fishrl.wrappers"},
+        {
+            *("gymnasium", "minari", "pettingzoo", "stable_baselines3", "sb3_contrib"),
+            "fishrl.wrappers",
+        },
         ("fishrl/wrappers/", "fishrl/programs/export_data.py"),
     ),
 )

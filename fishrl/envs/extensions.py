@@ -92,6 +92,23 @@ class HasScene:
     """Base of tasks that add to what is drawn of every task, see ``views.make_scene``."""
 
     @property
+    def title(self) -> str:
+        """Name of the task; by default that of its class."""
+        return ""
+
+    @property
+    def senses(self) -> tuple[str, ...]:
+        """What the policy observes, in words."""
+        return ()
+
+    def name_endings(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Return by words, such as "caught", whether they say how an episode ended, ``[B]`` bool.
+
+        The first that is true is shown. ``now`` has the entries of ``measure``.
+        """
+        return {}
+
+    @property
     def action_names(self) -> tuple[str, ...]:
         """Names of the actions, or of the components of a continuous one; by default numbers."""
         return ()

@@ -53,9 +53,9 @@ class Marks:
     key: str  #: key of their tensor
     radius: float  #: radius of a point, nodes
     colour: Colour = (120, 120, 120)  #: RGB colour of points without values
+    name: str = ""  #: what the points are, or the name of their value, in the legend
     #: key of the values ``[P]``; they are drawn in diverging colours around zero
     value: str | None = None
-    name: str = ""  #: name of the value in the legend
     unit: str = ""  #: unit of the value
     limit: float = 1.0  #: value at which the colours saturate
     reach: float = 0.0  #: radius of a circle around each, nodes; 0 draws none
@@ -63,12 +63,14 @@ class Marks:
 
 @dataclass(frozen=True, kw_only=True)
 class Arrow:
-    """A vector ``[2]`` drawn as an arrow, such as the force on a body."""
+    """A vector ``[2]`` drawn as an arrow, such as the force on a body; none if it is zero."""
 
     key: str  #: key of the vector
-    at: str  #: key of the point ``[2]`` where it begins
+    at: str | tuple[float, float]  #: where it begins: a place, or the key of a point ``[2]``
     scale: float  #: nodes per unit of the vector
     colour: Colour = (0, 158, 115)  #: RGB colour of the arrow
+    name: str = ""  #: label, followed by the vector's magnitude; films show named arrows alone
+    unit: str = ""  #: unit of the magnitude
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,6 +135,7 @@ class Scene:
     body_length: float  #: L, nodes
     width: int  #: nodes along x
     height: int  #: nodes along y
+    title: str = ""  #: task and senses, and the policy if it is known
     #: fields of the flow; the first one is drawn, the others can be chosen instead
     fields: tuple[Field, ...]
     curves: tuple[Curve, ...] = ()  #: bodies and lines, in drawing order
@@ -185,6 +188,14 @@ class Scene:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Ending:
+    """How an episode ended."""
+
+    words: str  #: such as "caught"
+    is_success: bool  #: whether the task was accomplished
+
+
+@dataclass(frozen=True, kw_only=True)
 class Frame:
     """One moment of one flow."""
 
@@ -192,3 +203,4 @@ class Frame:
     #: tensors by the keys of the scene; those that are missing are not drawn
     values: Mapping[str, Tensor]
     begins: bool = False  #: whether an episode begins here
+    ending: Ending | None = None  #: in the last frame of an episode

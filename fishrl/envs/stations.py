@@ -35,6 +35,15 @@ class SafeArea(Settings):
         gaps = torch.stack((x - self.near_bl, self.far_bl - x, self.aside_bl - y.abs()))
         return gaps.amin(0)
 
+    def name_sides(self, place: Tensor) -> dict[str, Tensor]:
+        """Return by words whether positions ``[B, 2]`` are in the danger area there, ``[B]``."""
+        x, y = place.unbind(-1)
+        return {
+            "drawn too near the obstacle": x <= self.near_bl,
+            "swept downstream out of the safe area": x >= self.far_bl,
+            "left the safe area at the side": y.abs() >= self.aside_bl,
+        }
+
     def check_starts(self, place: Tensor) -> None:
         """Raise ValueError for the first start whose nose, at ``place`` ``[E, 2]``, is outside."""
         is_wrong = ~(self.measure_margin(place) > 0.0)

@@ -1,5 +1,6 @@
 """What is drawn of every task: the flow, the bodies and forces, the edges, reward and action."""
 
+import re
 from collections.abc import Sequence
 
 import torch
@@ -21,6 +22,8 @@ FIELDS = ("vorticity", "pressure", "speed")
 FISH, MIDLINE, OBSTACLE = (32, 37, 43), (240, 240, 240), (110, 110, 110)
 #: Length of an arrow for a force of rho U^2 L, body lengths, with the fastest stream U.
 _FORCE_BL = 3.0
+_SEPARATOR = " · "  # of the parts of a title
+_STREAM_BL = 0.5  # length of an arrow for a stream of 1 L / T, body lengths
 #: Substitute for U in still water, L / T: about the speed of a fish.
 _SWIMMING = 0.5
 #: Below this speed, L / T, neither a stream nor a fish has a direction.
@@ -61,6 +64,7 @@ def make_scene(task: AbstractTask) -> Scene:
         body_length=float(scales.body_length),
         width=config.width,
         height=config.height,
+        title=_describe(task, extension),
         fields=make_fields(config, scales),
         curves=(
             *(Curve(key=name_fish("fish", i), colour=FISH) for i in range(num_fish)),
@@ -70,9 +74,19 @@ def make_scene(task: AbstractTask) -> Scene:
             ),
             *(Curve(key=key, colour=OBSTACLE) for key in obstacles[num_fish - 1 :]),
         ),
-        arrows=tuple(
-            Arrow(key=f"{body}_force", at=f"{body}_centre", scale=force_bl * scales.body_length)
-            for body in ("fish", *obstacles)
+        arrows=(
+            *(
+                Arrow(key=f"{body}_force", at=f"{body}_centre", scale=force_bl * scales.body_length)
+                for body in ("fish", *obstacles)
+            ),
+            Arrow(
+                key="stream",
+                at=(0.02 * config.width, 0.06 * config.height),
+                scale=_STREAM_BL * scales.body_length,
+                colour=FISH,
+                name="stream",
+                unit="L/T",
+            ),
         ),
         trails=tuple(Trail(key=name_fish("head", i)) for i in range(num_fish)),
         areas=(
@@ -106,6 +120,13 @@ def make_scene(task: AbstractTask) -> Scene:
         f"force now, {force_bl:.3g} L for 1 ρ L³/T².",
     )
     return extension.add_to_scene(scene)
+
+
+def _describe(task: AbstractTask, extension: HasScene) -> str:
+    """Return a task's name and what its policy observes."""
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(task).__name__).capitalize()
+    senses = f"senses: {', '.join(extension.senses)}" if extension.senses else ""
+    return _SEPARATOR.join(filter(None, (extension.title or words, senses)))
 
 
 def name_fish(key: str, number: int) -> str:
@@ -201,6 +222,8 @@ def read_scene(
             values[name_fish(key, index)] = own.pop(key)
     numbers = {key: torch.stack([own[key] for own in every], -1) for key in every[0]}
     values |= numbers if num_fish > 1 else every[0]
+    inflow = solver.stream_speed.new_tensor(solver.config.inflow) / scales.reference_speed
+    values["stream"] = solver.stream_speed[:, None] * inflow
     return values | extension.read_scene(solver, starts)
 
 

@@ -54,6 +54,12 @@ def find_mean(values: Sequence[float]) -> Interval:
     return Interval(value=mean, low=mean - half, high=mean + half)
 
 
+def find_share(successes: int, total: int) -> Interval:
+    """Return a share with Wilson's interval, which respects 0 and 1."""
+    interval = stats.binomtest(successes, total).proportion_ci(method="wilson")
+    return Interval(value=successes / total, low=interval.low, high=interval.high)
+
+
 def find_interquartile_mean(values: Sequence[float]) -> Interval:
     """Return the mean of the middle half; NaN without values.
 

@@ -17,6 +17,7 @@ from fishrl.programs.configuration import quote
 from fishrl.programs.figures.run_pictures import record_run
 from fishrl.programs.live import LiveView
 from fishrl.programs.program import program, show_command
+from fishrl.programs.statistics import find_share
 from fishrl.programs.sweeps.jobs import sweep
 from fishrl.programs.sweeps.runs import show_modules, show_resume
 from fishrl.programs.train_settings import TRAINING, TrainConfig
@@ -66,20 +67,22 @@ def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> 
 
     ``modules`` are the arguments that those commands need for classes outside fishrl.
     """
-    word = summary["success"]
-    heads = f"{word:>14}{'mean return':>14}{'mean duration':>16}{f'until {word}':>18}"
+    word, num = summary["success"], summary["episodes"]
+    heads = f"{word:>20}{'mean return':>14}{'mean duration':>16}{f'until {word}':>18}"
     print(f"\n{'policy':<12}{heads}")
     for name in ("learned", *summary["baselines"]):
         keys = ("success_rate", "mean_return", "mean_length_T", "mean_time_to_success_T")
         prefix = "" if name == "learned" else f"{name}_"
         rate, value, length, duration = (summary[prefix + key] for key in keys)
         shown = "-" if duration != duration else f"{duration:.1f} T"
-        print(f"{name:<12}{rate:>13.0%} {value:>13.1f}{length:>14.1f} T{shown:>18}")
-    print(f"({summary['episodes']} fixed starts, {summary['wall_seconds'] / 60:.1f} minutes)\n")
+        share = find_share(round(rate * num), num).show(".0%")
+        print(f"{name:<12}{share:>20}{value:>14.1f}{length:>14.1f} T{shown:>18}")
+    minutes = f"{summary['wall_seconds'] / 60:.1f} minutes"
+    print(f"({num} fixed starts; in brackets 95 % intervals of so few; {minutes})\n")
     for path in sorted(folder.iterdir()):
         if not path.name.startswith("."):
             print(f"  {path}")
-    has_recording = (folder / "capture.rrd").is_file()
+    has_recording = (folder / "episode.rrd").is_file()
     policy = [f"checkpoint={quote(str(folder))}", *modules]
     viewed = [str(folder)] if has_recording else policy
     print(f"\nevaluate: {show_command('evaluate', *policy)}")

@@ -63,10 +63,13 @@ class ViewConfig(PolicySettings, ViewerSettings):
         endings = (".rrd", *FILMS)
         if self.save is not None and Path(self.save).suffix not in endings:
             raise ValueError(f"save = {self.save}: must end in one of {', '.join(endings)}")
-        if self.is_film and (self.screenshot or self.live or len(self.shown) > 1):
+        if self.is_film and len(self.shown) > 1:
             raise ValueError(
-                f"save = {self.save}: a film is of one flow (flows=[0]); leave out screenshot, live"
+                f"save = {self.save}: a film is of one flow, not {len(self.shown)}: give "
+                "episodes=1, or the flow to be filmed, flows=[0]"
             )
+        if self.is_film and (self.screenshot or self.live):
+            raise ValueError(f"save = {self.save}: screenshot and live do not go with a film")
 
     @property
     def shown(self) -> list[int]:
@@ -94,7 +97,12 @@ def record(settings: ViewConfig, *, save: Path, url: str | None, progress: Callb
     with ExitStack() as stack:
         env = settings.make_env(task, recognition, num_envs=len(flows), progress=progress)
         stack.callback(env.close)
-        scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
+        scene = make_scene(
+            env,
+            field=settings.field,
+            field_limit=settings.field_limit,
+            policy="/".join(Path(settings.source).parts[-2:]),
+        )
         names = name_flows(task, flows, starts)
         film, drawing = Recording(scene=scene), None
         if not settings.is_film:

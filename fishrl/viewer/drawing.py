@@ -98,6 +98,8 @@ class Drawing:
             image = _encode(rr, quantise(values, shown.low, shown.limit), shown, self.field_format)
             self._log(f"{root}/world/{shown.key}", image)
         place, text = (0.5 * scene.width, -0.03 * scene.width), f"t = {frame.time:.2f} T"
+        if frame.ending is not None:
+            text = f"{text}: {frame.ending.words}"
         clock = rr.Points2D([place], radii=0.0, colors=[_RIM], labels=[text])
         self._log(f"{root}/world/clock", clock)
         for trail in scene.trails:
@@ -164,13 +166,17 @@ class Drawing:
             self._log(f"{root}/world/{marks.key}_reach", shape)
 
     def _draw_arrow(self, root: str, arrow: Arrow, values: Mapping[str, Tensor]) -> None:
-        x, y = (arrow.scale * values[arrow.key]).tolist()
+        vector = values[arrow.key]
+        x, y = (arrow.scale * vector).tolist()
+        start = values[arrow.at] if isinstance(arrow.at, str) else torch.tensor(arrow.at)
+        label = f"{arrow.name} {float(vector.norm()):.3g} {arrow.unit}"
         shape = self._rerun.Arrows2D(
-            origins=[self._place(values[arrow.at])],
+            origins=[self._place(start)],
             vectors=[(x, -y)],
             colors=[arrow.colour],
             radii=0.6 * self.scene.body_length / 50.0,
             draw_order=7.0,
+            labels=[label] if arrow.name and vector.any() else None,
         )
         self._log(f"{root}/world/{arrow.key}", shape)
 
@@ -248,7 +254,8 @@ class Drawing:
             levels = "The colours are stored."
         name = ", ".join(filter(None, (field.name, field.note)))
         about = (
-            f"**{title}**\n\nOne second of `{TIMELINE}` is one period T. Body length "
+            f"**{scene.title}**\n\n{title}\n\n"
+            f"One second of `{TIMELINE}` is one period T. Body length "
             f"L = {scene.body_length:g} nodes; the mouse shows nodes.\n\n"
             f"{name}; colours from {field.low:g} to {field.limit:g} {field.unit}. {levels}\n\n"
             f"{scene.note}"

@@ -184,7 +184,7 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
 def find_recording(path: str | os.PathLike[str]) -> Path:
     """Return the ``.rrd`` file at a path or in a run folder; raise FileNotFoundError for none."""
     file = Path(path)
-    file = file / "capture.rrd" if file.is_dir() else file
+    file = file / "episode.rrd" if file.is_dir() else file
     if not file.is_file() or file.suffix != ".rrd":
         raise FileNotFoundError(f"no .rrd file at {file}: give one, or a run folder that has one")
     return file

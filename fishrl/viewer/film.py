@@ -13,10 +13,10 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Circle, FancyArrowPatch, Polygon
 from numpy.typing import NDArray
 
-from fishrl.envs.scene import Frame, Scene
+from fishrl.envs.scene import Arrow, Frame, Scene
 from fishrl.viewer.colours import RED_BLUE, WHITE_BLUE, round_up, space_ticks
 from fishrl.viewer.recording import Recording
 
@@ -36,14 +36,15 @@ FISH = "#20252b"
 FOOD = "#f2b134"
 
 _NUM_SNAPSHOTS = 6
-_FRAMES_PER_SECOND = 14
+_FILM_S = 10.0  # duration of a film, as far as 10 to 25 frames per second allow
+_HOLD_S = 1.5  # for which the last frame stands
 _PALETTE = "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none"
 _WIDTH_INCHES = 8.0
 #: Dots per inch and ffmpeg's options of a film, by file suffix. A GIF has one palette and no
 #: dithering, so that parts at rest cost nothing.
 FILMS: Mapping[str, tuple[float, Mapping[str, Any]]] = {
     ".mp4": (100.0, {"quality": 7}),
-    ".gif": (60.0, {"codec": "gif", "pix_fmt_out": "pal8", "output_params": ["-vf", _PALETTE]}),
+    ".gif": (80.0, {"codec": "gif", "pix_fmt_out": "pal8", "output_params": ["-vf", _PALETTE]}),
 }
 
 
@@ -101,11 +102,17 @@ class FlowAxes:
         }
         self.bodies = {
             curve.key: Polygon(
-                np.zeros((3, 2)), closed=True, facecolor=FISH, edgecolor="white", lw=0.4, zorder=3
+                np.zeros((3, 2)),
+                closed=True,
+                facecolor=[c / 255.0 for c in curve.colour],
+                edgecolor="white",
+                lw=0.4,
+                zorder=3,
             )
             for curve in scene.curves
             if curve.is_closed
         }
+        self.arrows = [_NamedArrow(axes, arrow, length) for arrow in scene.arrows if arrow.name]
         self.circles = [
             (goal.key, circle)
             for goal in scene.marks
@@ -115,12 +122,18 @@ class FlowAxes:
                 Circle((0, 0), 0.07, facecolor=FOOD, edgecolor=FISH, lw=0.8, zorder=4),
             )
         ]
+        below: dict[str, Any] = {"xytext": (0, -16), "textcoords": "offset points", "ha": "center"}
+        self.names = [
+            (goal.key, axes.annotate(goal.name, (0, 0), **below))
+            for goal in scene.marks
+            if goal.reach > 0.0
+        ]
         for patch in (*self.bodies.values(), *(circle for _, circle in self.circles)):
             axes.add_patch(patch)
-        self.clock = axes.text(
-            0.015, 0.955, "", transform=axes.transAxes, ha="left", va="top",
-            bbox={"boxstyle": "round,pad=0.3", "facecolor": "white", "alpha": 0.85, "lw": 0},
-        )  # fmt: skip
+        box = {"boxstyle": "round,pad=0.3", "facecolor": "white", "alpha": 0.85, "lw": 0}
+        place: dict[str, Any] = {"transform": axes.transAxes, "va": "top", "bbox": box}
+        self.clock = axes.text(0.015, 0.955, "", ha="left", **place)
+        self.ending = axes.text(0.5, 0.955, "", ha="center", weight="bold", **place)
         axes.set(xlim=edges[:2], ylim=edges[2:], aspect="equal")
         axes.set_xticks(np.arange(0, x / length + 0.01, space_ticks(x / length)))
         axes.set_yticks(np.arange(0, y / length + 0.01, space_ticks(y / length)))
@@ -141,14 +154,44 @@ class FlowAxes:
             body.set_xy(self._place(now, key))
         for key, circle in self.circles:
             circle.center = tuple(self._place(now, key))
+        for key, name in self.names:
+            name.xy = tuple(self._place(now, key))
         for key, path in self.paths.items():
             path.set_data(*np.stack([self._place(frame, key) for frame in frames]).T)
+        for arrow in self.arrows:
+            arrow.show(now)
         self.clock.set_text(f"t = {now.time:.1f} T")
+        self.ending.set_text("" if now.ending is None else now.ending.words)
 
     def _place(self, frame: Frame, key: str) -> NDArray[np.float32]:
         """Return places in body lengths."""
         place: NDArray[np.float32] = (frame.values[key].float() / self.scene.body_length).numpy()
         return place
+
+
+class _NamedArrow:
+    """An arrow with its name and magnitude, hidden while it is zero."""
+
+    def __init__(self, axes: Axes, arrow: Arrow, body_length: float) -> None:
+        self._arrow, self._length = arrow, body_length
+        self._shape = FancyArrowPatch(
+            (0, 0), (0, 0), shrinkA=0, shrinkB=0, arrowstyle="-|>", mutation_scale=14, lw=2.0,
+            color=FISH, zorder=5,
+        )  # fmt: skip
+        self._text = axes.text(0, 0, "", ha="left", va="bottom", zorder=5)
+        axes.add_patch(self._shape)
+
+    def show(self, frame: Frame) -> None:
+        arrow, vector = self._arrow, frame.values[self._arrow.key].float()
+        start = frame.values[arrow.at] if isinstance(arrow.at, str) else torch.tensor(arrow.at)
+        x, y = (start / self._length).tolist()
+        dx, dy = (arrow.scale * vector / self._length).tolist()
+        size = float(vector.norm())
+        self._shape.set_positions((x, y), (x + dx, y + dy))
+        self._text.set_position((x, y + 0.08))
+        self._text.set_text(f"{arrow.name} {size:.3g} {arrow.unit}")
+        for artist in (self._shape, self._text):
+            artist.set_visible(size > 0.0)
 
 
 class FramePainter:
@@ -168,6 +211,12 @@ class FramePainter:
             self._canvas = FigureCanvasAgg(figure)
             self._canvas.draw()
             figure.set_layout_engine("none")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of a picture, pixels."""
+        width, height = self._canvas.get_width_height()
+        return width, height
 
     def paint(self, frame: Frame) -> NDArray[np.uint8]:
         """Return a picture ``[height, width, 3]``; the path restarts with each episode."""
@@ -226,27 +275,29 @@ def write_film(recording: Recording, path: str | PathLike[str]) -> None:
         raise ValueError(f"{path}: must end in one of {', '.join(FILMS)}")
     dpi, options = FILMS[suffix]
     painter = FramePainter(fit_colours(recording), dpi=dpi)
-    first, *rest = recording.frames
-    picture = painter.paint(first)
-    height, width = (2 * (side // 2) for side in picture.shape[:2])  # H.264 wants even sides
+    width, height = (2 * (side // 2) for side in painter.size)  # H.264 wants even sides
+    fps = round(min(25.0, max(10.0, len(recording.frames) / _FILM_S)))
     writer = imageio_ffmpeg.write_frames(
-        str(path), (width, height), fps=_FRAMES_PER_SECOND, macro_block_size=2, **options
+        str(path), (width, height), fps=fps, macro_block_size=2, **options
     )
     writer.send(None)
     try:
-        writer.send(np.ascontiguousarray(picture[:height, :width]))
-        for frame in rest:
-            writer.send(np.ascontiguousarray(painter.paint(frame)[:height, :width]))
+        for frame in recording.frames:
+            picture = np.ascontiguousarray(painter.paint(frame)[:height, :width])
+            writer.send(picture)
+        for _ in range(round(_HOLD_S * fps)):
+            writer.send(picture)
     finally:
         writer.close()
 
 
 def make_single(scene: Scene) -> tuple[Figure, FlowAxes]:
     """Return a figure with one set of axes, see ``FlowAxes``."""
-    size = (_WIDTH_INCHES, 0.86 * _WIDTH_INCHES * scene.height / scene.width + 0.6)
+    size = (_WIDTH_INCHES, 0.86 * _WIDTH_INCHES * scene.height / scene.width + 0.85)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
     flow = FlowAxes(axes, scene)
     label_axes(axes)
+    axes.set_title(scene.title, loc="left")
     flow.add_colourbar(figure, axes)
     return figure, flow

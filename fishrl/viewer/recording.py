@@ -13,19 +13,24 @@ from torchrl.envs import TransformedEnv
 
 from fishrl.envs import views
 from fishrl.envs.agents import read_entry
-from fishrl.envs.episodes import Episodes, Policy, run_episodes
-from fishrl.envs.extensions import name_flow
+from fishrl.envs.episodes import Episodes, Policy, has_succeeded, run_episodes
+from fishrl.envs.extensions import HasScene, find_extension, name_flow
 from fishrl.envs.flow_env import FlowEnv
-from fishrl.envs.scene import Choice, Frame, Scene
+from fishrl.envs.scene import Choice, Ending, Frame, Scene
 from fishrl.envs.task import AbstractTask
 
 
 def make_scene(
-    env: TransformedEnv, *, field: str = "vorticity", field_limit: float | None = None
+    env: TransformedEnv,
+    *,
+    field: str = "vorticity",
+    field_limit: float | None = None,
+    policy: str = "",
 ) -> Scene:
     """Return the scene of an env's task, with the plots of those outputs that the env has.
 
     ``field`` is drawn; its colours saturate at ``field_limit``, by default the field's own limit.
+    The title ends with the name of the ``policy``, if given.
 
     Raises:
         ValueError: for a field that the scene does not have.
@@ -39,7 +44,8 @@ def make_scene(
         or not panel.is_output
         or all(series.key in outputs for series in panel.series)
     )
-    return replace(scene, panels=panels).choose_field(field, limit=field_limit)
+    title = scene.title + f" · policy: {policy}" * bool(policy)
+    return replace(scene, title=title, panels=panels).choose_field(field, limit=field_limit)
 
 
 def name_flows(
@@ -82,6 +88,7 @@ class Recorder:
         self._pending: dict[int, list[Frame]] = {}
         self._last_T: dict[int, float] = {}
         self._has_given: dict[int, bool] = {}
+        self._words: dict[int, str] = {}  # of the end, should the episode end here
 
     def begin(self, rows: Collection[int]) -> None:
         """Begin an episode in some rows; frames of theirs that are pending are dropped."""
@@ -98,6 +105,10 @@ class Recorder:
         if not rows:
             return
         values, solver = read_values(self._base, self._scene), self._base.solver
+        task = self._base.task
+        endings = find_extension(task, HasScene).name_endings(
+            task.measure(solver, self._base.start)
+        )
         ages, period = solver.body.age.tolist(), self._base.task.scales.period
         for row in rows:
             time, last = ages[row] / period, self._last_T[row]
@@ -109,6 +120,8 @@ class Recorder:
                 )
                 self._pending[row].append(frame)
                 self._last_T[row] = time
+                ways = (words for words, is_so in endings.items() if is_so[row].any())
+                self._words[row] = next(ways, "ended by the task")
 
     def settle(self, step: TensorDictBase, rows: Collection[int]) -> None:
         """Give the frames of a decision that is over, with its action and reward.
@@ -119,14 +132,25 @@ class Recorder:
         after = step["next"]
         read = {name: read_entry(step, name) for name in self._scene.output_keys}
         read["reward"] = read_entry(after, "reward")
+        is_success = has_succeeded(after, self._base.task.success)
         for row in rows:
             outputs = {name: value[row].cpu() for name, value in read.items() if value is not None}
             outputs["reward"] = outputs["reward"].sum(-1)
             frames, self._pending[row] = self._pending[row], []
-            if after["diverged"][row].any():
+            has_diverged = bool(after["diverged"][row].any())
+            if has_diverged:
                 frames = [] if self._has_given[row] else frames[:1]
-            for frame in frames:
-                self._give(row, replace(frame, values={**outputs, **frame.values}))
+            ending = None
+            if after["done"][row].any():
+                has_won = bool(is_success[row].any())
+                words = "lasted to the time limit" if has_won else "time is over"
+                words = self._words[row] if after["terminated"][row].any() else words
+                words = "the flow diverged" if has_diverged else words
+                ending = Ending(words=words, is_success=has_won)
+            for number, frame in enumerate(frames, 1):
+                last = ending if number == len(frames) else None
+                values = {**outputs, **frame.values}
+                self._give(row, replace(frame, values=values, ending=last))
                 self._has_given[row] = True
 
 
@@ -190,11 +214,15 @@ def _list_rows(start_of: Tensor) -> dict[int, int]:
 
 @dataclass(kw_only=True)
 class Recording:
-    """The frames of one episode, in the order of time, and whether the task was accomplished."""
+    """The frames of one episode, in the order of time."""
 
     scene: Scene
     frames: list[Frame] = field(default_factory=list)
-    has_succeeded: bool = False
+
+    @property
+    def ending(self) -> Ending | None:
+        """How the episode ended; None if it was cut."""
+        return self.frames[-1].ending
 
     @property
     def time(self) -> Tensor:

@@ -1,294 +1,60 @@
-"""A ``gymnasium.vector.VectorEnv`` of flows.
+"""Flows for Gymnasium: a vector environment, a single one, and ids for ``gymnasium.make``.
 
-Needs the extra ``gymnasium``; import it by its full name:
-``from fishrl.wrappers.gymnasium import FlowVectorEnv``.
+Needs the extra ``gymnasium``; import it by its full name, which also registers the ids::
+
+    import gymnasium
+    import fishrl.wrappers.gymnasium
+
+    envs = gymnasium.make_vec("fishrl/Predation-v0", num_envs=8, body_length=50)
+    env = gymnasium.make("fishrl/KarmanGait-v0", recognition="oracle", render_mode="rgb_array")
 """
 
-from collections.abc import Mapping
+from inspect import signature
 from typing import Any
 
-import numpy as np
-import torch
-from tensordict import TensorDictBase
-from torchrl.envs import TransformedEnv
-from torchrl.envs.utils import step_mdp
+from fishrl.envs import AbstractTask, Follower, KarmanGait, Predation, make_env
+from fishrl.wrappers.vector import FlowVectorEnv  # first: it names the extra if it is missing
 
-from fishrl.envs.flow_env import FlowEnv
-from fishrl.envs.scene import Frame
-from fishrl.extras import show_install
-from fishrl.viewer import make_scene
-from fishrl.viewer.film import FramePainter
-from fishrl.viewer.recording import read_values
+from gymnasium import register  # isort: skip
 
-try:
-    from gymnasium.error import ResetNeeded
-    from gymnasium.spaces import Box, Discrete
-    from gymnasium.vector import AutoresetMode, VectorEnv
-    from gymnasium.vector.utils import batch_space
-except ImportError as error:
-    raise ImportError(
-        f"fishrl.wrappers.gymnasium needs gymnasium: {show_install('gymnasium')}"
-    ) from error
+from fishrl.wrappers.single import FlowSingleEnv
 
-Array = np.ndarray[Any, Any]
-OBSERVED = ("observation", "observation_stack")
+__all__ = ["TASKS", "FlowSingleEnv", "FlowVectorEnv", "make_single", "make_vector"]
+
+#: Tasks with one fish by their ids; own tasks can be added by ``gymnasium.register`` likewise.
+TASKS: dict[str, type[AbstractTask]] = {
+    f"fishrl/{task.__name__}-v0": task for task in (Predation, KarmanGait, Follower)
+}
 
 
-class FlowVectorEnv(VectorEnv):
-    """Wrap an environment of ``make_env`` with B flows as a vector environment of B rows.
-
-    Observations are ``observation_stack`` ``[B, num_stacked * n_obs]``, float32; actions are
-    integers ``[B]``, or numbers ``[B, num_actions]`` in [-1, 1] (a ``Box``) if the
-    task has continuous ones. ``infos`` holds ``action_mask`` ``[B, num_actions]`` (int8, for
-    ``Discrete.sample``) of discrete actions and all other entries of environment and task, such as
-    ``captured``, ``diverged``, ``step_count`` and ``episode_reward``, each with a ``_``-prefixed
-    array of the rows that have it. A row whose flow diverges is truncated with reward 0.
-
-    ``autoreset_mode`` is one of Gymnasium's three:
-
-    ``NEXT_STEP``
-        The step after the end of an episode resets the row, ignores its action and returns reward
-        0; on a CPU the flow does not advance. Exclude that step from learning.
-    ``SAME_STEP``
-        The step that ends an episode returns the first observation of the next one. The last
-        observation is ``infos["final_obs"]`` (None in other rows), its infos
-        ``infos["final_info"]``.
-    ``DISABLED``
-        Ended rows must be reset by ``reset(options={"reset_mask": rows})`` before the next step.
+def make_vector(task: type[AbstractTask], num_envs: int, **settings: Any) -> FlowVectorEnv:
+    """Return a vector environment of flows.
 
     Args:
-        env: an environment of ``make_env``, which this wrapper owns and closes.
-        autoreset_mode: a ``gymnasium.vector.AutoresetMode`` or its value.
-        render_mode: ``rgb_array``, and ``render`` returns pictures, for instance for Gymnasium's
-            ``RecordVideo``; or None.
-        field: what these pictures show: vorticity, pressure or speed.
+        task: class of the task.
+        num_envs: number of flows.
+        settings: of ``make_env``, of ``FlowVectorEnv`` and, all others, of the task.
+
+    Raises:
+        ValueError: for settings that none of them has.
     """
-
-    def __init__(
-        self,
-        env: TransformedEnv,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        field: str = "vorticity",
-    ) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array' or None")
-        if env.base_env.task.num_fish > 1:
-            raise ValueError(
-                f"{type(env.base_env.task).__name__} has several fish, for which Gymnasium has no "
-                "environments: use make_env, whose layout TorchRL's multi-agent scripts take"
-            )
-        self.env = env
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.num_envs = int(env.batch_size[0])
-        specs = env.full_observation_spec
-        shape = tuple(specs["observation_stack"].shape[1:])
-        self.single_observation_space = Box(-np.inf, np.inf, shape, np.float32)
-        task = self.flows.task
-        self.is_continuous, num_actions = task.action_bounds is not None, task.num_actions
-        self.single_action_space = (
-            Box(-1.0, 1.0, (num_actions,), np.float32)
-            if self.is_continuous
-            else Discrete(num_actions)
-        )
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.render_mode = render_mode
-        self.metadata = {
-            "autoreset_mode": self.autoreset_mode,
-            "render_modes": ["rgb_array"],
-            "render_fps": 8,
-        }
-        self._scene = make_scene(env, field=field)
-        self._painters = [
-            FramePainter(self._scene, dpi=60.0) for _ in range(self.num_envs if render_mode else 0)
-        ]
-        self._reported = [name for name in specs.keys(True, True) if name not in OBSERVED]
-        self._state: TensorDictBase | None = None
-        self._is_over = np.zeros(self.num_envs, dtype=np.bool_)
-        self._is_unseen = np.ones(self.num_envs, dtype=np.bool_)  # an episode without a picture
-
-    @property
-    def flows(self) -> FlowEnv:
-        """The environment without transforms."""
-        flows: FlowEnv = self.env.base_env
-        return flows
-
-    def reset(
-        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
-        """Start new episodes; return observations ``[B, ...]`` and infos of all rows.
-
-        ``seed`` determines all further starts, which depend on seed, row and episode; ``options``
-        may hold ``reset_mask`` ``[B]`` bool, the rows to reset.
-
-        Raises:
-            ValueError: for an invalid mask.
-            gymnasium.error.Error: for an invalid seed, or a partial reset before a full one.
-        """
-        if seed is not None:
-            super().reset(seed=seed)
-            self.env.set_seed(int(seed), static_seed=True)
-        if unknown := sorted(set(options or {}) - {"reset_mask"}):
-            raise ValueError(f"options = {unknown}: there is only 'reset_mask'")
-        if not options:
-            self._state = self.env.reset()
-            self._is_over[:], self._is_unseen[:] = False, True
-        else:
-            rows = _read("reset_mask", options["reset_mask"], (self.num_envs,), np.bool_)
-            self._state = self._reset_rows(self._need_state(), rows)
-            self._is_over = self._is_over & ~rows
-        return _observe(self._state), self._tell(self._state)
-
-    def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """Advance all rows by one decision, given legal actions ``[B, ...]``.
-
-        Returns observations ``[B, ...]``, rewards ``[B]``, terminations, truncations and infos.
-
-        Raises:
-            ValueError: for illegal actions or a wrong shape, and for rows that must be reset first.
-            gymnasium.error.ResetNeeded: before the first reset.
-        """
-        state, waiting = self._need_state(), self._is_over.copy()
-        if waiting.any() and self.autoreset_mode is AutoresetMode.DISABLED:
-            raise ValueError(
-                f"rows {waiting.nonzero()[0].tolist()} are over: call "
-                "reset(options={'reset_mask': terminations | truncations}) first"
-            )
-        after = self._advance(state, self._read_actions(actions), waiting)
-        reward, terminated, truncated = (
-            np.where(waiting, 0, _row_wise(after[name])).astype(dtype)
-            for name, dtype in (("reward", float), ("terminated", bool), ("truncated", bool))
-        )
-        is_over = terminated | truncated
-        infos: dict[str, Any] = {}
-        if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            if is_over.any():
-                infos = self._tell_ends(after, is_over)
-                after = self._reset_rows(after, is_over)
-        else:
-            if waiting.any():
-                after = self._reset_rows(after, waiting)
-            self._is_over = is_over
-        self._state = after
-        return _observe(after), reward, terminated, truncated, infos | self._tell(after)
-
-    def action_masks(self) -> Array:
-        """Return the currently legal actions, ``[B, num_actions]`` bool.
-
-        Raises:
-            ValueError: for a task with continuous actions.
-        """
-        if self.is_continuous:
-            raise ValueError("action_masks: continuous actions have none; use PPO or SAC")
-        mask: Array = self._need_state()["action_mask"].cpu().numpy()
-        return mask.copy()
-
-    def render(self) -> tuple[Array, ...]:
-        """Return a picture ``[height, width, 3]``, uint8, of each row's flow.
-
-        Raises:
-            ValueError: without ``render_mode="rgb_array"``.
-        """
-        if not self._painters:
-            raise ValueError("render: make the environment with render_mode='rgb_array'")
-        solver, task = self.flows.solver, self.flows.task
-        self._need_state()
-        values = read_values(self.flows, self._scene)
-        frames = [
-            Frame(
-                time=float(solver.body.age[row]) / task.scales.period,
-                values={name: value[row].cpu() for name, value in values.items()},
-                begins=bool(self._is_unseen[row]),
-            )
-            for row in range(self.num_envs)
-        ]
-        self._is_unseen[:] = False
-        return tuple(p.paint(frame) for p, frame in zip(self._painters, frames, strict=True))
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """End the solver's processes, if any."""
-        self.env.close(raise_if_closed=False)
-
-    def _need_state(self) -> TensorDictBase:
-        if self._state is None:
-            raise ResetNeeded("call reset() before step(), action_masks() and partial resets")
-        return self._state
-
-    def _advance(self, state: TensorDictBase, actions: Array, waiting: Array) -> TensorDictBase:
-        """Return the next state; ``waiting`` rows do not advance and are undefined."""
-        rests = torch.as_tensor(waiting, device=self.env.device)
-        chosen = torch.as_tensor(actions, device=self.env.device)
-        if self.is_continuous:
-            legal = torch.zeros_like(chosen)
-        else:
-            legal = state["action_mask"].int().argmax(-1)
-        self.flows.is_resting = rests
-        try:
-            action = torch.where(rests.view(-1, *(1,) * (chosen.dim() - 1)), legal, chosen)
-            stepped = self.env.step(state.copy().set("action", action))
-        finally:
-            self.flows.is_resting = torch.zeros_like(rests)
-        after: TensorDictBase = step_mdp(stepped, exclude_reward=False)
-        return after
-
-    def _reset_rows(self, state: TensorDictBase, rows: Array) -> TensorDictBase:
-        """Return the state with new episodes in ``rows``."""
-        self._is_unseen |= rows
-        mask = torch.as_tensor(rows, device=self.env.device).unsqueeze(-1)
-        fresh: TensorDictBase = self.env.reset(
-            state.copy().set("_reset", mask), select_reset_only=1
-        )
-        return fresh.exclude("_reset")
-
-    def _read_actions(self, given: Any) -> Array:
-        """Return actions of the space's type."""
-        kind, dtype = (np.floating, np.float32) if self.is_continuous else (np.integer, np.int64)
-        return _read("actions", given, self.action_space.shape, kind).astype(dtype)
-
-    def _tell(self, state: TensorDictBase) -> dict[str, Any]:
-        """Return infos: all entries but the observations."""
-        return _with_rows(self._read_reported(state), np.ones(self.num_envs, dtype=np.bool_))
-
-    def _tell_ends(self, state: TensorDictBase, rows: Array) -> dict[str, Any]:
-        """Return last observations and infos of ended episodes."""
-        observations = _observe(state)
-        final = np.full(self.num_envs, None, dtype=object)
-        for row in rows.nonzero()[0]:
-            final[row] = observations[row]
-        last = _with_rows(self._read_reported(state), rows)
-        return _with_rows({"final_obs": final, "final_info": last}, rows)
-
-    def _read_reported(self, state: TensorDictBase) -> dict[str, Array]:
-        reported = {name: _row_wise(state[name]) for name in self._reported}
-        if self.is_continuous:
-            return reported
-        return reported | {"action_mask": reported["action_mask"].astype(np.int8)}
+    making, wrapping = (
+        {name: settings.pop(name) for name in signature(takes).parameters if name in settings}
+        for takes in (make_env, FlowVectorEnv)
+    )
+    env = make_env(task=task(**settings), num_envs=num_envs, **making)
+    return FlowVectorEnv(env, **wrapping)
 
 
-def _read(name: str, given: Any, shape: tuple[int, ...] | None, kind: type) -> Array:
-    """Return ``given`` as an array; raise ValueError unless it has the shape and kind."""
-    values = np.asarray(given)
-    if values.shape != shape or not np.issubdtype(values.dtype, kind):
-        raise ValueError(
-            f"{name} of shape {values.shape}, {values.dtype}: expected {shape}, {kind.__name__}"
-        )
-    return values
+def make_single(task: type[AbstractTask], **settings: Any) -> FlowSingleEnv:
+    """Return an environment of one flow; arguments are those of ``make_vector``."""
+    return FlowSingleEnv(make_vector(task, 1, autoreset_mode="Disabled", **settings))
 
 
-def _observe(state: TensorDictBase) -> Array:
-    observed: Array = state["observation_stack"].cpu().numpy()
-    return observed.astype(np.float32)  # a copy
-
-
-def _row_wise(tensor: torch.Tensor) -> Array:
-    """Return a copy as an array, with columns ``[B, 1]`` as ``[B]``."""
-    columns = tensor.squeeze(-1) if tensor.dim() == 2 and tensor.shape[-1] == 1 else tensor
-    rows: Array = columns.detach().cpu().numpy().copy()
-    return rows
-
-
-def _with_rows(infos: Mapping[str, Any], rows: Array) -> dict[str, Any]:
-    """Return infos, each with a copy of ``rows`` under its ``_``-prefixed name."""
-    return dict(infos) | {f"_{name}": rows.copy() for name in infos}
+for name, one in TASKS.items():
+    register(
+        name,
+        entry_point=f"{__name__}:make_single",
+        vector_entry_point=f"{__name__}:make_vector",
+        kwargs={"task": one},
+    )

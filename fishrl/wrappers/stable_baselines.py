@@ -20,7 +20,7 @@ except ImportError as error:
         + show_install("stable-baselines3")
     ) from error
 
-from fishrl.wrappers.gymnasium import FlowVectorEnv
+from fishrl.wrappers.vector import FlowVectorEnv
 
 Array = np.ndarray[Any, Any]
 

@@ -32,7 +32,7 @@ WRITTEN = {
     "algorithms.md": ["runs"],
     "tutorials/cylinder.md": ["cylinder.png", "two_cylinders.png"],
     "tutorials/fish_in_a_stream.md": ["fish_in_a_stream.png"],
-    "gymnasium.md": ["fish.zip"],
+    "gymnasium.md": ["films", "fish.zip"],
     "tutorials/new_task.md": ["runs"],
 }
 

@@ -64,7 +64,8 @@ def read(env: FlowEnv) -> dict[str, torch.Tensor]:
 def list_keys(scene: Scene) -> set[str]:
     """Return every key that is read by ``read_scene``."""
     drawn = (*scene.fields, *scene.curves, *scene.marks, *scene.trails, *scene.arrows)
-    keys = {*(one.key for one in drawn), *(arrow.at for arrow in scene.arrows)}
+    keys = {one.key for one in drawn}
+    keys |= {arrow.at for arrow in scene.arrows if isinstance(arrow.at, str)}
     keys |= {marks.value for marks in scene.marks if marks.value}
     for panel in scene.panels:
         if not isinstance(panel, Choice) and not panel.is_output:

@@ -59,7 +59,7 @@ def test_a_flow_is_filmed(ending: str, tmp_path: Path) -> None:
 def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(tmp_path: Path) -> None:
     few = ["recognition=oracle", "baselines=[]", "picture_episodes=2", "total_frames=16"]
     complete(set_up(TRAINING.read([*SETTINGS, *few, f"folder={tmp_path}", "name=run"])))
-    assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "capture.rrd")
+    assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "episode.rrd")
     settings = view.main.read(
         [f"checkpoint={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"]
     )

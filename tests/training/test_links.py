@@ -18,7 +18,7 @@ from fishrl.training.run_folder import read_config, write_yaml
 
 #: What trainings with other settings write, and what is there while one writes.
 OTHERS = (
-    *("output.log", "failure.txt", ".lock", "capture.rrd", "machine.pt", "wandb_id", "tensorboard"),
+    *("output.log", "failure.txt", ".lock", "episode.rrd", "machine.pt", "wandb_id", "tensorboard"),
     *("checkpoints/.last.new", "checkpoints/..last.new", "learning_curve.png"),
 )
 SUMMARY = ("summary.md", "summary.csv", "runs.csv", "curves.png")

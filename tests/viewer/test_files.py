@@ -156,11 +156,13 @@ def test_missing_folder_and_missing_target_are_refused(tmp_path: Path) -> None:
         start_drawing(make_scene(), flows=FLOWS)
 
 
-def test_run_folder_stands_for_its_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(FileNotFoundError, match=r"no \.rrd file at .*capture\.rrd"):
+def test_run_folder_stands_for_its_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no \.rrd file at .*episode\.rrd"):
         find_recording(tmp_path)
-    write(tmp_path / "capture.rrd", num_frames=1)
-    assert find_recording(tmp_path) == tmp_path / "capture.rrd"
+    write(tmp_path / "episode.rrd", num_frames=1)
+    assert find_recording(tmp_path) == tmp_path / "episode.rrd"
     opened: list[list[str]] = []
     status = [0, 1]
 
@@ -171,7 +173,7 @@ def test_run_folder_stands_for_its_capture(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(files_module.subprocess, "run", run)
     open_recording(tmp_path)
     (command,) = opened
-    assert command[-1] == str(tmp_path / "capture.rrd")
+    assert command[-1] == str(tmp_path / "episode.rrd")
     assert command[command.index("--bind") + 1] == "127.0.0.1"
     with pytest.raises(ValueError, match="ended with status 1: its window needs a screen"):
         open_recording(tmp_path)

@@ -213,7 +213,8 @@ def test_invalid_arguments_are_refused() -> None:
 @pytest.mark.parametrize(
     ("module", "needs", "package"),
     [
-        ("gymnasium", "gymnasium.error", "gymnasium"),
+        ("vector", "gymnasium.error", "gymnasium"),
+        ("pettingzoo", "pettingzoo", "pettingzoo"),
         ("stable_baselines", "stable_baselines3.common.vec_env", "stable-baselines3"),
         ("minari", "minari", "minari"),
     ],

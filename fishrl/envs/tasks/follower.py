@@ -299,6 +299,26 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
             "contact": now["gap"] < self.contact,
         }
 
+    @property
+    def senses(self) -> tuple[str, ...]:
+        """Place, heading and what the fish feels of the water and of itself."""
+        return (
+            "place",
+            "heading",
+            "phases of both",
+            "velocity of the water",
+            "yaw rate",
+            "actions",
+        )
+
+    def name_endings(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Tell whether the follower touched something or left its range."""
+        return {
+            "touched the leader": now["gap"] < self.contact,
+            "hit an edge": now["clearance"] < self.wall_margin,
+            "left its range": self._has_left(now["place"]),
+        }
+
     def add_to_scene(self, scene: Scene) -> Scene:
         """Add the range of the centre of mass."""
         area = self.frame("range", x_bl=self.range_bl, aside_bl=self.aside_bl)

@@ -287,6 +287,24 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
         """Names given by ``control``."""
         return self.control.action_names
 
+    @property
+    def title(self) -> str:
+        """Name of the task."""
+        return "Kármán gait"
+
+    @property
+    def senses(self) -> tuple[str, ...]:
+        """Place and drift, the lateral line and the tail beat."""
+        velocity = ("velocity at the lateral line",) if self.observes_velocity else ()
+        return ("place", "drift", *velocity, "tail beat")
+
+    def name_endings(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Tell on which side the fish has left the safe area."""
+        return {
+            **self.safe_area.name_sides(now["place"]),
+            "hit an edge": now["clearance"] < self.wall_margin,
+        }
+
     def add_to_scene(self, scene: Scene) -> Scene:
         """Add the safe area, the nose's place in it, the lateral line and the flow label."""
         area = self.safe_area
@@ -297,7 +315,7 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
         )
         neuromasts, signals = describe_lateral_line(self.lateral_line, body_length=self.body_length)
         speed = Panel(
-            name="stream speed [L/T]", series=(Series(key="stream_speed", label="speed"),)
+            name="stream speed [L/T]", series=(Series(key="stream", column=0, label="speed"),)
         )
         return scene.extend(
             areas=(self.frame("danger_area", x_bl=x_bl, aside_bl=area.aside_bl),),
@@ -319,7 +337,6 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
             "place": self.locate(solver.markers()[:, 0]),
             "neuromasts": neuromasts,
             "signal": signal.expand(neuromasts.shape[:2]),
-            "stream_speed": solver.stream_speed / self.scales.reference_speed,
         }
 
     def _observe_steering(self, now: TensorDictBase) -> Tensor:

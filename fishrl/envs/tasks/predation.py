@@ -238,6 +238,11 @@ class AbstractPredation(AbstractTask, HasScene):
         return {"food": food, "distance": distance}
 
     @property
+    def senses(self) -> tuple[str, ...]:
+        """The food, as seen from the nose."""
+        return ("place of the food",)
+
+    @property
     def action_names(self) -> tuple[str, ...]:
         """Names of the turns, or of the two numbers."""
         if self.is_continuous:
@@ -245,10 +250,16 @@ class AbstractPredation(AbstractTask, HasScene):
             return f"turn, ±{self.turn_degrees:g}°", f"frequency, {low:g} to {high:g} beats/T"
         return f"turn {-self.turn_degrees:g}°", "keep", f"turn +{self.turn_degrees:g}°"
 
+    def name_endings(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Tell whether the food was caught or a wall was hit, by any fish."""
+        flags = {"caught": self.has_caught(now), "hit a wall": now["clearance"] < self.wall_margin}
+        return {w: flag.any(1) if self.num_fish > 1 else flag for w, flag in flags.items()}
+
     def add_to_scene(self, scene: Scene) -> Scene:
         """Add the food and its distance."""
         food = Marks(
             key="food",
+            name="food",
             radius=3.0 * self.body_length / 50.0,
             colour=(242, 177, 52),
             reach=self.capture_radius,

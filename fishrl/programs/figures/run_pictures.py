@@ -23,7 +23,7 @@ from fishrl.viewer import (
 )
 from fishrl.viewer.film import FOOD, label_axes, write_film, write_flow, write_snapshots
 
-#: Number of flows kept in ``capture.rrd``.
+#: Number of flows kept in ``episode.rrd``.
 _MAX_FLOWS = 3
 #: Recorded duration of episodes of tasks without a goal, T.
 _MAX_PERIODS = 20.0
@@ -44,27 +44,27 @@ def record_run(
     ``on_episodes`` is called with the number of episodes that have just ended.
     """
     task = env.base_env.task
-    scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
+    scene = make_scene(
+        env, field=settings.field, field_limit=settings.field_limit, policy=folder.name
+    )
     flows, max_decisions = list(range(min(_MAX_FLOWS, len(starts)))), None
     if scene.goal is None:
         starts, max_decisions = starts[flows], count_decisions(task, _MAX_PERIODS)
     recordings = [Recording(scene=scene) for _ in range(len(starts))]
-
     drawing = start_drawing(
         scene,
         flows=name_flows(task, flows, starts),
-        save=folder / "capture.rrd",
+        save=folder / "episode.rrd",
         field_format=settings.field_format,
     )
     with closing(drawing):
 
         def give(start: int, frame: Frame) -> None:
-            if scene.goal is not None:
-                recordings[start].frames.append(frame)
+            recordings[start].frames.append(frame)
             if start in flows:
                 drawing.draw(start, frame)
 
-        episodes = record_episodes(
+        record_episodes(
             env,
             policy,
             starts,
@@ -74,62 +74,71 @@ def record_run(
             max_decisions=max_decisions,
             on_episodes=on_episodes,
         )
-    for recording, has_succeeded in zip(recordings, episodes.succeeded.tolist(), strict=True):
-        recording.has_succeeded = has_succeeded
     write_run_pictures(folder, recordings, baselines=baselines)
 
 
 def write_run_pictures(
     folder: Path, recordings: Sequence[Recording], *, baselines: Mapping[str, float]
 ) -> None:
-    """Write the learning curve and, if the task has a goal, pictures of the episodes.
+    """Write the learning curve and pictures of the episodes.
 
     All ``recordings`` go into ``trajectories.png``; the first one that succeeded (else the first
-    one) into the flow pictures and the animation.
+    one) into the flow pictures and the film.
     """
     if (folder / "metrics.csv").is_file():
         curve = folder / "learning_curve.png"
         write_learning_curve(folder / "metrics.csv", curve, baselines=baselines)
-    if recordings[0].scene.goal is not None:
-        shown = next((r for r in recordings if r.has_succeeded), recordings[0])
-        write_trajectories(recordings, folder / "trajectories.png")
-        field = shown.scene.field.key
-        write_snapshots(shown, folder / f"{field}_sequence.png")
-        write_flow(shown, folder / f"{field}_last.png")
-        write_film(shown, folder / "capture.gif")
+    successes = (r for r in recordings if r.ending is not None and r.ending.is_success)
+    shown = next(successes, recordings[0])
+    write_trajectories(recordings, folder / "trajectories.png")
+    field = shown.scene.field.key
+    write_snapshots(shown, folder / f"{field}_sequence.png")
+    write_flow(shown, folder / f"{field}_last.png")
+    write_film(shown, folder / "episode.gif")
 
 
 def write_trajectories(recordings: Sequence[Recording], path: Path) -> None:
-    """Draw head paths from several starts, the goal's path and where it was reached."""
+    """Draw head paths from several starts among the obstacles, and the goal's, if there is one."""
     scene = recordings[0].scene
     x, y = scene.width / scene.body_length, scene.height / scene.body_length
+    words = ["filled: fish at the start", "line: head"]
+    if scene.goal is not None:
+        words += [f"dots: {scene.goal.name}", f"circle: reach of the {scene.goal.name}"]
     with panels(path, size=(9, 0.5 + 6.6 * y / x), has_grid=False) as [[axes]]:
+        bodies = [curve for curve in scene.curves if curve.is_closed]
+        for body in bodies[len(scene.trails) :]:  # after the fish
+            outline = recordings[0].stack_bl(body.key)[0].numpy()
+            axes.add_patch(Polygon(outline, closed=True, facecolor="0.45", lw=0))
         for number, recording in enumerate(recordings):
             _draw_trajectory(axes, recording, COLOURS[number % len(COLOURS)])
-        axes.set(xlim=(0, x), ylim=(0, y), aspect="equal")
+        axes.set(xlim=(0, x), ylim=(0, y), aspect="equal", title=scene.title)
         label_axes(axes)
         axes.legend(
             loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, fontsize=9,
-            title="filled: at the start\nline: head · dots: food\ncircle: capture radius",
-            title_fontsize=8.5, alignment="left", labelspacing=0.55,
+            title="\n".join(words), title_fontsize=8.5, alignment="left", labelspacing=0.55,
         )  # fmt: skip
 
 
 def _draw_trajectory(axes: Axes, recording: Recording, colour: str) -> None:
-    scene, is_caught = recording.scene, recording.has_succeeded
-    assert scene.goal is not None
-    keys = (scene.curves[0].key, scene.trails[0].key, scene.goal.key)
-    fish, head, food = (recording.stack_bl(key).numpy() for key in keys)
-    end = f"{float(recording.time[-1]):.1f} T"
-    label = f"caught after {end}" if is_caught else f"not caught, {end}"
-    axes.add_patch(Polygon(fish[0], closed=True, facecolor=colour, alpha=0.9, lw=0))
-    axes.add_patch(Polygon(fish[-1], closed=True, facecolor="none", edgecolor=colour, lw=0.8))
-    axes.plot(head[:, 0], head[:, 1], color=colour, linewidth=1.5, label=label)
-    axes.plot(food[:, 0], food[:, 1], color=colour, linestyle=":", linewidth=1.1)
+    scene, ending = recording.scene, recording.ending
+    words = "" if ending is None else f", {ending.words}"
+    label = f"{float(recording.time[-1]):.1f} T{words}"
+    for number, trail in enumerate(scene.trails):
+        fish, head = (
+            recording.stack_bl(key).numpy() for key in (scene.curves[number].key, trail.key)
+        )
+        axes.add_patch(Polygon(fish[0], closed=True, facecolor=colour, alpha=0.9, lw=0))
+        axes.add_patch(Polygon(fish[-1], closed=True, facecolor="none", edgecolor=colour, lw=0.8))
+        axes.plot(*head.T, color=colour, linewidth=1.5, label=None if number else label)
+    if scene.goal is None:
+        return
+    is_reached = ending is not None and ending.is_success
+    goal = recording.stack_bl(scene.goal.key).numpy()
+    axes.plot(*goal.T, color=colour, linestyle=":", linewidth=1.1)
     axes.plot(
-        *food[-1], marker="*" if is_caught else "X", markersize=13 if is_caught else 8,
-        markerfacecolor=FOOD if is_caught else "white", markeredgecolor=colour,
+        *goal[-1], marker="*" if is_reached else "X", markersize=13 if is_reached else 8,
+        markerfacecolor=FOOD if is_reached else "white", markeredgecolor=colour,
         markeredgewidth=1.2, zorder=4,
     )  # fmt: skip
     reach = scene.goal.reach / scene.body_length
-    axes.add_patch(Circle(tuple(food[-1]), reach, fill=False, edgecolor=colour, lw=0.8))
+    axes.add_patch(Circle(tuple(goal[-1]), reach, fill=False, edgecolor=colour, lw=0.8))

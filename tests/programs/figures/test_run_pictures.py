@@ -12,7 +12,7 @@ import torch
 from PIL import Image
 
 from fishrl.envs import Predation
-from fishrl.envs.scene import Frame
+from fishrl.envs.scene import Ending, Frame
 from fishrl.envs.views import make_scene
 from fishrl.programs.figures import learning_curve
 from fishrl.programs.figures.learning_curve import Curve, write_learning_curve
@@ -44,9 +44,12 @@ def make_recording(
             "midline": outline,
             "head": nose,
             "food": torch.tensor([2.5, lane]) * length,
+            "stream": torch.zeros(2),
         }
         frames.append(Frame(time=time, values=values))
-    return Recording(scene=make_scene(task), frames=frames, has_succeeded=has_succeeded)
+    ending = Ending(words="caught" if has_succeeded else "hit a wall", is_success=has_succeeded)
+    frames[-1] = dataclasses.replace(frames[-1], ending=ending)
+    return Recording(scene=make_scene(task), frames=frames)
 
 
 def scale_vorticity(recording: Recording, factor: float, name: str = "vorticity") -> Recording:
@@ -58,23 +61,17 @@ def scale_vorticity(recording: Recording, factor: float, name: str = "vorticity"
     return dataclasses.replace(recording, frames=frames)
 
 
-def test_a_task_with_a_goal_gets_every_picture_others_the_learning_curve(tmp_path: Path) -> None:
+def test_every_task_gets_pictures_that_show_its_own_marks_and_outcome(tmp_path: Path) -> None:
     (tmp_path / "metrics.csv").write_text(METRICS)
     recordings = [make_recording(has_succeeded=False), make_recording(num_frames=9, lane=3.0)]
     write_run_pictures(tmp_path, recordings, baselines={"random": 0.1})
     written = {path.name for path in tmp_path.glob("*.[pg]*") if path.stat().st_size > 1000}
     assert written == {
         *("learning_curve.png", "trajectories.png", "vorticity_sequence.png"),
-        *("vorticity_last.png", "capture.gif"),
+        *("vorticity_last.png", "episode.gif"),
     }
-    with Image.open(tmp_path / "capture.gif") as picture:  # the first capture, frame by frame
-        assert picture.n_frames == 9
-    for path in tmp_path.glob("*.[pg]*"):
-        path.unlink()
-    for recording in recordings:  # without a goal
-        recording.scene = dataclasses.replace(recording.scene, marks=())
-    write_run_pictures(tmp_path, recordings, baselines={})
-    assert [path.name for path in tmp_path.glob("*.[pg]*")] == ["learning_curve.png"]
+    with Image.open(tmp_path / "episode.gif") as picture:  # the success, frame by frame
+        assert 9 < picture.n_frames <= 9 + 15  # and its end is held
 
 
 def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number() -> None:

@@ -1,0 +1,139 @@
+"""Several fish as a PettingZoo environment.
+
+Needs the extra ``pettingzoo``; import it by its full name:
+``from fishrl.wrappers.pettingzoo import FlowParallelEnv``.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import TransformedEnv
+
+from fishrl.envs.agents import AGENTS
+from fishrl.extras import show_install
+
+try:
+    from gymnasium.spaces import Box, Discrete
+    from pettingzoo import ParallelEnv
+except ImportError as error:
+    raise ImportError(
+        f"fishrl.wrappers.pettingzoo needs PettingZoo: {show_install('pettingzoo')}"
+    ) from error
+
+Array = np.ndarray[Any, Any]
+
+
+class FlowParallelEnv(ParallelEnv[str, Array, Any]):
+    """Wrap one flow with M fish as a ``pettingzoo.ParallelEnv`` with agents ``fish_0``, ``fish_1``.
+
+    Observations are ``observation_stack`` ``[num_stacked * n_obs]``, float32; actions are integers,
+    or numbers ``[num_actions]`` in [-1, 1] if the task has continuous ones. ``infos`` holds the
+    ``action_mask`` of discrete actions and what environment and task report. An episode ends for
+    all fish at once.
+
+    Args:
+        env: an environment of ``make_env`` with ``num_envs=1``, of a task with several fish, which
+            this wrapper owns and closes.
+    """
+
+    def __init__(self, env: TransformedEnv) -> None:
+        task = env.base_env.task
+        if task.num_fish == 1 or env.batch_size != (1,):
+            raise ValueError(
+                f"FlowParallelEnv wraps one flow with several fish, not {env.batch_size[0]} with "
+                f"{task.num_fish}: set num_envs=1, and take FlowVectorEnv for a single fish"
+            )
+        self.env = env
+        self.metadata = {"name": f"fishrl_{type(task).__name__.lower()}"}
+        self.possible_agents: list[str] = list(env.group_map[AGENTS])
+        self.agents: list[str] = []
+        length = env.full_observation_spec[AGENTS, "observation_stack"].shape[-1]
+        self.observation_spaces = {
+            name: Box(-np.inf, np.inf, (length,), np.float32) for name in self.possible_agents
+        }
+        self.is_continuous = task.action_bounds is not None
+        self.action_spaces = {
+            name: Box(-1.0, 1.0, (task.num_actions,), np.float32)
+            if self.is_continuous
+            else Discrete(task.num_actions)
+            for name in self.possible_agents
+        }
+
+    def observation_space(self, agent: str) -> Any:
+        """Return the space of a fish's observations."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Any:
+        """Return the space of a fish's actions."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
+        """Start a new episode; return observations and infos by fish."""
+        if seed is not None:
+            self.env.set_seed(int(seed), static_seed=True)
+        self.agents = list(self.possible_agents)
+        self._state: TensorDictBase = self.env.reset()
+        return self._observe(), self._tell()
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[
+        dict[str, Array],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Advance the flow by one decision of all fish.
+
+        Returns observations, rewards, terminations, truncations and infos by fish.
+
+        Raises:
+            ValueError: for illegal actions, for missing ones, and once the episode is over.
+        """
+        if not self.agents or set(actions) != set(self.agents):
+            raise ValueError(
+                f"actions of {sorted(actions)}: expected {self.agents}; reset() first?"
+            )
+        chosen = torch.as_tensor(
+            np.stack([np.asarray(actions[name]) for name in self.agents]), device=self.env.device
+        )
+        state = self._state.copy()
+        state[AGENTS, "action"] = chosen[None]
+        after = self.env.step(state)["next"]
+        self._state = after
+        rewards = after[AGENTS, "reward"][0, :, 0].tolist()
+        ends = [bool(after[name].any()) for name in ("terminated", "truncated")]
+        told = self._observe(), self._tell()
+        agents = list(self.agents)
+        if any(ends):
+            self.agents = []
+        terminations, truncations = (dict.fromkeys(agents, end) for end in ends)
+        return told[0], dict(zip(agents, rewards, strict=True)), terminations, truncations, told[1]
+
+    def close(self) -> None:
+        """End the solver's processes, if any."""
+        self.env.close(raise_if_closed=False)
+
+    def _observe(self) -> dict[str, Array]:
+        rows = self._state[AGENTS, "observation_stack"][0].cpu().numpy().astype(np.float32)
+        return dict(zip(self.possible_agents, rows, strict=True))
+
+    def _tell(self) -> dict[str, dict[str, Any]]:
+        """Return by fish the legal actions, and what was reported of the flow."""
+        flow = {
+            name: self._state[name][0].cpu().numpy()
+            for name in self.env.full_observation_spec
+            if name != AGENTS
+        }
+        infos = {name: dict(flow) for name in self.possible_agents}
+        if not self.is_continuous:
+            masks = self._state[AGENTS, "action_mask"][0].cpu().numpy().astype(np.int8)
+            for name, mask in zip(self.possible_agents, masks, strict=True):
+                infos[name]["action_mask"] = mask
+        return infos

@@ -1,0 +1,59 @@
+"""Ids for ``gymnasium.make``, a single flow, films of it, and several fish in PettingZoo."""
+
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import RecordVideo
+from pettingzoo.test import parallel_api_test
+
+from fishrl.envs import PredationPair, make_env
+from fishrl.wrappers.gymnasium import TASKS, FlowVectorEnv
+from fishrl.wrappers.pettingzoo import FlowParallelEnv
+from tests.envs.conftest import SMALL
+
+SETTINGS = {**SMALL, "time_limit": 3, "compile": False}
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_a_vector_and_a_single_flow_are_made_by_id() -> None:
+    envs = gymnasium.make_vec("fishrl/Predation-v0", num_envs=2, **SETTINGS)
+    assert isinstance(envs.unwrapped, FlowVectorEnv) and envs.num_envs == 2
+    observations, _ = envs.reset(seed=3)
+    assert set(TASKS) <= set(gymnasium.registry)
+    env = gymnasium.make("fishrl/Predation-v0", **SETTINGS)
+    observation, info = env.reset(seed=3)
+    assert np.array_equal(observation, observations[0])
+    assert info["action_mask"].shape == (3,)
+    check_env(env.unwrapped, skip_render_check=True)
+    for made in (envs, env):
+        made.close()
+    with pytest.raises(ValueError, match="body_lenght"):
+        gymnasium.make("fishrl/Predation-v0", body_lenght=50)
+
+
+def test_record_video_writes_a_film_of_a_single_flow(tmp_path: Path) -> None:
+    env = gymnasium.make("fishrl/Predation-v0", render_mode="rgb_array", **SETTINGS)
+    films = RecordVideo(env, str(tmp_path), fps=4)
+    films.reset(seed=0)
+    for _ in range(2):
+        films.step(1)
+    films.close()
+    (film,) = tmp_path.glob("*.mp4")
+    assert film.stat().st_size > 1000
+
+
+@pytest.mark.usefixtures("kinematic")
+@pytest.mark.parametrize("action", ["discrete", "continuous"])
+def test_several_fish_pass_pettingzoos_own_test(action: str) -> None:
+    task = PredationPair(**SMALL, time_limit=3, action=action)
+    env = FlowParallelEnv(make_env(task=task, num_envs=1, compile=False))
+    parallel_api_test(env, num_cycles=10)
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match=r"expected \['fish_0', 'fish_1'\]"):
+        env.step({"fish_0": 1})
+    env.close()
+    with pytest.raises(ValueError, match="num_envs=1"):
+        FlowParallelEnv(make_env(task=task, num_envs=2, compile=False))
