@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from fishrl.envs import KarmanGait, Predation, make_env
-from fishrl.envs.scene import Frame
+from fishrl.envs.scene import Ending, Frame
 from fishrl.viewer import Recording, make_scene, name_flows, record_episodes
 from fishrl.viewer.recording import Recorder
 from tests.envs.conftest import SMALL, keep_straight, starts_at
@@ -94,6 +94,9 @@ def test_episodes_are_recorded_from_start_to_capture(num_envs: int) -> None:
     task, (caught, missed), episodes = record(num_envs)
     assert episodes.succeeded.tolist() == [True, False]
     assert caught.frames[-1].values["reward"] == 21.0
+    assert caught.ending == Ending(words="caught", is_success=True)
+    assert missed.ending == Ending(words="time is over", is_success=False)
+    assert all(frame.ending is None for frame in caught.frames[:-1])
     # 2.25 body lengths at 0.4 per period; one check more at the most
     assert caught.time[-1] == pytest.approx(2.25 / 0.4, abs=0.06)
     away = (caught.stack("food") - caught.stack("head")).norm(dim=-1)

@@ -9,14 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 from PIL import Image
 
 from fishrl.envs import Predation
+from fishrl.envs.scene import Curve as SceneCurve
 from fishrl.envs.scene import Ending, Frame
 from fishrl.envs.views import make_scene
 from fishrl.programs.figures import learning_curve
 from fishrl.programs.figures.learning_curve import Curve, write_learning_curve
-from fishrl.programs.figures.run_pictures import write_run_pictures
+from fishrl.programs.figures.run_pictures import write_run_pictures, write_trajectories
 from fishrl.viewer import Recording, film
 
 METRICS = """frames,train/return,eval/mean_return,train/success_rate,train/loss_qvalue
@@ -72,6 +75,30 @@ def test_every_task_gets_pictures_that_show_its_own_marks_and_outcome(tmp_path: 
     }
     with Image.open(tmp_path / "episode.gif") as picture:  # the success, frame by frame
         assert 9 < picture.n_frames <= 9 + 15  # and its end is held
+
+
+def test_paths_are_drawn_among_the_tasks_own_obstacles_in_its_own_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures = list[Figure]()
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
+    square = torch.tensor([(80.0, 40.0), (90.0, 40.0), (90.0, 50.0), (80.0, 50.0)])
+    recording = make_recording()
+    recording.scene = dataclasses.replace(
+        recording.scene,
+        marks=(),
+        curves=(*recording.scene.curves, SceneCurve(key="post", colour=(9, 9, 9))),
+    )
+    recording.frames = [
+        dataclasses.replace(f, values={**f.values, "post": square}) for f in recording.frames
+    ]
+    write_trajectories([recording], tmp_path / "x.png")
+    (axes,) = figures[0].axes
+    drawn = [patch.get_xy()[:4].tolist() for patch in axes.patches if isinstance(patch, Polygon)]
+    assert (square / 20.0).tolist() in drawn
+    legend = axes.get_legend()
+    words = " ".join(t.get_text() for t in (legend.get_title(), *legend.get_texts()))
+    assert "4.0 T, caught" in words and "food" not in words
 
 
 def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number() -> None:
