@@ -80,8 +80,13 @@ def test_every_task_gets_pictures_that_show_its_own_marks_and_outcome(tmp_path: 
 def test_paths_are_drawn_among_the_tasks_own_obstacles_in_its_own_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    figures = list[Figure]()
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
+    figures, save = list[Figure](), Figure.savefig
+
+    def note(figure: Figure, path: Path) -> None:
+        figures.append(figure)
+        save(figure, path)
+
+    monkeypatch.setattr(Figure, "savefig", note)
     square = torch.tensor([(80.0, 40.0), (90.0, 40.0), (90.0, 50.0), (80.0, 50.0)])
     recording = make_recording()
     recording.scene = dataclasses.replace(
