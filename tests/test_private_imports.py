@@ -11,7 +11,10 @@ PRIVATE = {
     "torch._functorch.compile_utils.fx_graph_cse": "training/tracing.py",
     "torch._inductor.standalone_compile": "physics/fast/compiled.py",
     "torch._inductor.output_code.CompiledFxGraph": "physics/fast/compiled.py",
+    "torch._inductor.cpp_builder.get_cpp_compiler": "physics/fast/compiled.py",
+    "torch._inductor.cpu_vec_isa.pick_vec_isa": "physics/fast/compiled.py",
     "torch._inductor.runtime.cache_dir_utils.cache_dir": "physics/fast/compiled.py",
+    "torch._inductor.runtime.cache_dir_utils.default_cache_dir": "physics/fast/compiled.py",
     "torch._inductor.standalone_compile.AOTCompiledArtifact": "physics/fast/compiled.py",
     "torch.utils._pytree": "envs/streams.py, physics",
 }

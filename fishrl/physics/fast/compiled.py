@@ -6,10 +6,15 @@ Inductor with *the views themselves as inputs* avoids both. In return, the calle
 shapes, strides and types never change and that mutated inputs do not overlap within one call.
 """
 
+import gzip
 import logging
-import shutil
+import os
+import platform
+import subprocess
 import sys
-from collections.abc import Callable, Sequence
+import sysconfig
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -26,26 +31,95 @@ logger = logging.getLogger(__name__)
 
 InPlaceFunction = Callable[..., Any]
 
-# Fused multiply-add, and no check of the arguments' shapes at each call: they never change.
-_SETTINGS: dict[str, object] = {
-    "cpp.enable_floating_point_contract_flag": "fast",
-    "size_asserts": False,
-    "alignment_asserts": False,
-    "cpp.vec_isa_ok": True,  # the processor's flags tell; else a program is compiled to probe each
-}
-
 
 @cache
 def find_compiler_problem(device_type: str) -> str | None:
     """Return why nothing can be compiled for ``device_type``, or None; logged once."""
-    problem = None
-    if device_type == "cpu" and not (shutil.which("g++") or shutil.which("clang++")):
-        problem = "no C++ compiler (g++ or clang++) on the path"
-    elif not hasattr(torch._inductor, "standalone_compile"):
-        problem = f"torch {torch.__version__} has no torch._inductor.standalone_compile"
+    problem = _find_cpp_problem() if device_type == "cpu" else None
     if problem:
         logger.warning("%s: the flow runs eagerly, about 10 times slower", problem)
     return problem
+
+
+def _find_cpp_problem() -> str | None:
+    from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.runtime.cache_dir_utils import cache_dir, default_cache_dir
+
+    try:
+        with torch._inductor.config.patch(_list_settings()):
+            compiler = get_cpp_compiler()
+    except (RuntimeError, OSError):
+        if "CXX" in os.environ:
+            return f"CXX={os.environ['CXX']!r} is no C++ compiler: name one program, or unset CXX"
+        return "no C++ compiler (g++ or clang++) on the path"
+    paths = {  # that Inductor puts into commands without quotes
+        "set TORCHINDUCTOR_CACHE_DIR": cache_dir(),
+        "set TMPDIR or LOGNAME": default_cache_dir(),
+        "set CXX": compiler,
+        "install torch elsewhere": torch.__path__[0],
+        "install Python elsewhere": sysconfig.get_config_var("LIBDIR") or "",
+    }
+    for remedy, path in paths.items():
+        if set(path) & set(" \t\r\n\"'\\"):
+            return f"a space, quote or backslash in the path {path!r} is not supported ({remedy})"
+    return None
+
+
+def _list_settings() -> dict[str, object]:
+    """Return Inductor's settings: fused multiply-add, no checks of shapes, which never change."""
+    compilers = torch._inductor.config.cpp.cxx  # $CXX alone, or g++
+    return {
+        "cpp.cxx": compilers if "CXX" in os.environ else (*compilers, "clang++"),
+        "cpp.enable_floating_point_contract_flag": "fast",
+        "size_asserts": False,
+        "alignment_asserts": False,
+        "cpp.vec_isa_ok": True,  # by the processor's flags; else a program is compiled for each
+        # For networks: frozen constants are not stored, and templates fail on mutated arguments.
+        "freezing": False,
+        "max_autotune": False,
+        "max_autotune_gemm": False,
+    }
+
+
+@cache
+def _describe_target() -> str:
+    """Return the compiler's macros: its version, and what it takes this processor for."""
+    from torch._inductor.cpp_builder import get_cpp_compiler
+
+    command = [get_cpp_compiler(), "-march=native", "-dM", "-E", "-xc++", os.devnull]
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout
+
+
+def _identify_machine(device: torch.device) -> str:
+    """Return a key of what compiled code depends on, apart from its source and its settings.
+
+    Inductor's own keys lack most of it: the width of vectors, the instructions that
+    ``-march=native`` allows, and the versions of compiler and C library.
+    """
+    from torch._inductor.cpu_vec_isa import pick_vec_isa
+
+    target: list[object] = [torch.__config__.show(), sys.version, platform.libc_ver()]
+    if device.type == "cuda":
+        target += [torch.cuda.get_device_name(device), device]  # the code holds its index
+    else:
+        vectors = pick_vec_isa().build_arch_flags()  # for the processor and ATEN_CPU_CAPABILITY
+        target += [torch.get_num_threads(), vectors, _describe_target()]
+    return make_key(target)
+
+
+@contextmanager
+def _set_up_inductor(device: torch.device, patches: dict[str, object]) -> Iterator[Path]:
+    """Apply settings, and yield a folder for this kind of machine, in which Inductor stores."""
+    from torch._inductor.runtime.cache_dir_utils import cache_dir
+
+    with torch._inductor.config.patch(_list_settings() | patches):
+        before = cache_dir()
+        folder = Path(before, "fishrl", _identify_machine(device))
+        os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(folder)
+        try:
+            yield folder
+        finally:
+            os.environ["TORCHINDUCTOR_CACHE_DIR"] = before
 
 
 def _make_twin(t: Tensor) -> Tensor:
@@ -100,25 +174,27 @@ def compile_inplace(
     device = example[0].device
     if find_compiler_problem(device.type):
         return function
-    settings = {**_SETTINGS, **patches}
-    path = None if name is None else _locate_artefact(name, example, settings)
-    if path is not None and (kept := _load(path, settings)) is not None:
-        return _reach_code(kept)
+    with _set_up_inductor(device, patches) as folder:
+        path = None if name is None else folder / f"{_make_name(name, example)}.bin"
+        compiled = None if path is None else _load(path)
+        if compiled is None:
+            compiled = _compile(function, example)
+            if path is not None:
+                _save(path, compiled)
+    return _reach_code(compiled)
+
+
+def _compile(function: InPlaceFunction, example: Sequence[Tensor]) -> InPlaceFunction:
     from torch._inductor import standalone_compile
     from torch.fx.experimental.proxy_tensor import make_fx
 
     twins = [_make_twin(t) for t in example]
-    graph, options = make_fx(function)(*twins), {"config_patches": settings}
+    graph = make_fx(function)(*twins)
     try:
-        compiled = standalone_compile(
-            graph, [*twins], dynamic_shapes="from_example_inputs", aot=True, options=options
-        )
+        return standalone_compile(graph, [*twins], dynamic_shapes="from_example_inputs", aot=True)
     except RuntimeError as error:
         said = str(error).rpartition("Output:")[2].strip()  # by the C++ compiler
         raise ChildProcessError(f"the compiler failed: {said.partition(chr(10))[0]}") from error
-    if path is not None:
-        _save(path, compiled.serialize())  # type: ignore[attr-defined]
-    return _reach_code(compiled)
 
 
 def _reach_code(artefact: InPlaceFunction) -> InPlaceFunction:
@@ -139,43 +215,33 @@ def _reach_code(artefact: InPlaceFunction) -> InPlaceFunction:
     return artefact
 
 
-def _locate_artefact(name: str, example: Sequence[Tensor], settings: dict[str, object]) -> Path:
-    from torch._inductor.runtime.cache_dir_utils import cache_dir
-
-    device = example[0].device
-    if device.type == "cuda":
-        machine = f"{torch.cuda.get_device_name(device)}, {device}"  # the code holds its index
-    else:
-        machine = f"{torch.backends.cpu.get_cpu_capability()}, {torch.get_num_threads()} threads"
+def _make_name(name: str, example: Sequence[Tensor]) -> str:
+    """Return a key of what code for one kind of machine depends on: source, settings, arguments."""
     arguments = [(tuple(t.shape), t.stride(), t.dtype) for t in example]
-    key = make_key(
-        name, hash_sources(), torch.__version__, sys.version, machine, arguments, settings
-    )
-    return Path(cache_dir()) / "fishrl" / f"{key}.bin"
+    settings = torch._inductor.config.save_config_portable(ignore_private_configs=False)
+    return make_key(name, hash_sources(), arguments, settings)
 
 
-def _load(path: Path, settings: dict[str, object]) -> InPlaceFunction | None:
-    """Return what is kept at ``path``; None if there is nothing that can be used.
-
-    The settings count here too: they are part of how Inductor finds the machine code.
-    """
+def _load(path: Path) -> InPlaceFunction | None:
+    """Return what is kept at ``path``, if its checksum is right and it can be used, else None."""
     if not path.exists():
         return None
     from torch._inductor.standalone_compile import AOTCompiledArtifact
 
     try:
-        with torch._inductor.config.patch(settings):
-            return AOTCompiledArtifact.deserialize(path.read_bytes())
+        return AOTCompiledArtifact.deserialize(gzip.decompress(path.read_bytes()))
     except Exception as error:  # noqa: BLE001  # any damage: compile again
         logger.warning("%s cannot be used (%s): compiling again", path, error)
         return None
 
 
-def _save(path: Path, content: bytes) -> None:
-    """Keep ``content``; readers see all of it or nothing."""
+def _save(path: Path, compiled: Any) -> None:
+    """Keep compiled code; readers see all of it or nothing."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with staged(path) as part:
-            part.write_bytes(content)
-    except OSError as error:
+            part.write_bytes(gzip.compress(compiled.serialize(), compresslevel=1))
+    except TypeError:  # of Inductor, which made nothing that could be stored
+        logger.info("Inductor's caches are off: the flow step is compiled at every start")
+    except Exception as error:  # noqa: BLE001  # the code itself runs
         logger.warning("the compiled step cannot be kept (%s): it is compiled every time", error)

@@ -1,16 +1,25 @@
 """The in-place step itself: half precision, memory, and its compiled code."""
 
+import logging
+import os
+import random
+import shlex
+import shutil
+import string
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
+from torch._functorch import config as functorch_config
 from torch._inductor import config as inductor_config
+from torch._inductor.cpp_builder import cpp_compiler_search
 from torch._inductor.graph import GraphLowering
 
 from fishrl.physics import Fish, FlowConfig, InPlaceSolver, Storage
 from fishrl.physics.boundaries import Boundaries, NoSlip
+from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.fast.compiled import compile_inplace, is_own
 from fishrl.physics.lattice import Q
 from tests.physics.fast.test_solver import CHANGES, TANK, make_solver
@@ -77,30 +86,118 @@ def count_python_calls(function: Callable[..., object], *arguments: object) -> i
 
 
 @pytest.mark.compile
-def test_compiled_code_is_cached_for_its_number_of_threads_and_loaded_without_tracing(
+def test_compiled_code_is_stored_for_its_machine_and_loaded_without_tracing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
-    traced = []
+    """Machines that share a folder have vectors of different widths, or other threads."""
+    folder, traced = tmp_path / "é#$&;(){}[]*?!~%@=,:|<>^+-", []
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(folder))
 
     def double(x: torch.Tensor) -> None:
         traced.append(x)
         x.mul_(2.0)
 
-    x = torch.ones(8)
-    for _ in range(2):
-        compiled = compile_inplace(double, (x,), name="double")
-        x.fill_(1.0)
-        assert count_python_calls(compiled, x) < 6  # about 25 with the layers around the code
-        assert x.tolist() == [2.0] * 8
-    assert len(traced) == 1
-    for kept in tmp_path.glob("fishrl/*.bin"):
-        kept.write_bytes(b"damaged")
-    compile_inplace(double, (x,), name="double")
-    assert len(traced) == 2
-    torch.set_num_threads(2)  # one_thread sets it back
-    compile_inplace(double, (x,), name="double")
-    assert len(traced) == 3 and len(list(tmp_path.glob("fishrl/*.bin"))) == 2
+    x = torch.ones(64)
+    for capability, num_threads in (("", 1), ("avx2", 1), ("default", 1), ("", 2)):
+        monkeypatch.setenv("ATEN_CPU_CAPABILITY", capability)
+        torch.set_num_threads(num_threads)  # one_thread sets it back
+        for _ in range(2):
+            compiled = compile_inplace(double, (x,), name="double")
+            x.fill_(1.0)
+            assert count_python_calls(compiled, x) < 6  # about 25 with the layers around the code
+            assert x.tolist() == [2.0] * 64
+        assert len(traced) == len(list(folder.glob("fishrl/*/*.bin")))
+    assert len(traced) > 2  # "" is "avx2" on many machines
+    assert os.environ["TORCHINDUCTOR_CACHE_DIR"] == str(folder)
+
+
+def square(x: torch.Tensor) -> tuple[torch.Tensor]:
+    """Return the squares of matrices: for this Inductor writes no C++, so it compiles at once."""
+    return (torch.bmm(x, x),)
+
+
+@pytest.mark.compile
+def test_inductors_switches_for_networks_and_caches_do_not_change_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    x = 2 * torch.eye(3)[None]
+    networks = ("freezing", "max_autotune", "max_autotune_gemm")
+    switches = {name: inductor_config.patch({name: True}) for name in networks}
+    switches["no cache"] = inductor_config.patch(force_disable_caches=True)
+    switches["no graph cache"] = inductor_config.patch(fx_graph_cache=False)
+    switches["no autograd cache"] = functorch_config.patch(enable_autograd_cache=False)
+    for name, switch in switches.items():
+        caplog.clear()
+        with switch, caplog.at_level(logging.INFO, "fishrl"):
+            compiled = compile_inplace(square, (x,), name=name)
+        assert torch.equal(compiled(x)[0], x @ x)
+        said = [record.levelname for record in caplog.records]
+        assert said == ([] if name in networks else ["INFO"])
+    assert len(list(tmp_path.glob("fishrl/*/*.bin"))) == len(networks)
+
+
+@pytest.mark.compile
+def test_a_flipped_bit_in_stored_code_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    compile_inplace(square, (torch.eye(3)[None],), name="square")
+    (stored,) = tmp_path.glob("fishrl/*/*.bin")
+    content, generator = stored.read_bytes(), random.Random(0)
+    for place in generator.sample(range(80, 8 * len(content)), 50):  # after the header
+        damaged = bytearray(content)
+        damaged[place // 8] ^= 1 << place % 8
+        stored.write_bytes(damaged)
+        assert compiled_module._load(stored) is None, place
+    compile_inplace(square, (torch.eye(3)[None],), name="square")
+    assert compiled_module._load(stored) is not None
+
+
+def test_the_key_of_a_machine_has_its_instructions_and_its_compiler(tmp_path: Path) -> None:
+    compiler, keys = tmp_path / "g++", []
+    for flags in ("", "-march=haswell", "-march=x86-64-v2", "-D__VERSION__='13'", ""):
+        compiler.write_text(f'#!/bin/sh\nexec g++ "$@" {flags}\n')
+        compiler.chmod(0o755)
+        compiled_module._describe_target.cache_clear()
+        with inductor_config.patch({"cpp.cxx": str(compiler)}):
+            keys.append(compiled_module._identify_machine(torch.device("cpu")))
+    compiled_module._describe_target.cache_clear()
+    assert keys[0] == keys[-1] and len(set(keys)) == 4
+
+
+def find_problem() -> str | None:
+    cpp_compiler_search.cache_clear()
+    return compiled_module.find_compiler_problem.__wrapped__("cpu")
+
+
+def test_the_compiler_is_the_one_that_inductor_finds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "clang++").symlink_to(shutil.which("g++") or "")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert find_problem() is None
+    for wrong in ("nope", "ccache clang++", "", str(tmp_path)):
+        monkeypatch.setenv("CXX", wrong)
+        with inductor_config.patch({"cpp.cxx": (None, wrong)}):  # as if set before the start
+            assert str(find_problem()).startswith(f"CXX={wrong!r} is no C++ compiler")
+
+
+def test_paths_that_no_command_can_hold_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for character in {*string.printable, "é", "魚"}:
+        path = f"{tmp_path}/a{character}b"
+        monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", path)
+        try:
+            is_word = shlex.split(f"-o {path}") == ["-o", path]
+        except ValueError:  # a quote without its end
+            is_word = False
+        remedy = f"the path {path!r} is not supported (set TORCHINDUCTOR_CACHE_DIR)"
+        assert str(find_problem()).endswith("None" if is_word else remedy)
+    monkeypatch.setattr(torch, "__path__", ["/my programs/torch"])
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    assert str(find_problem()).endswith("(install torch elsewhere)")
 
 
 def test_a_class_from_outside_the_package_is_not_cached_by_name() -> None:
