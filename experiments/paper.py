@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 from markdown_it import MarkdownIt
 
-from fishrl.files import make_folder
+from fishrl.files import make_folder, staged, write_whole
 from fishrl.pages import escape, write_table
 from fishrl.programs import view
 from fishrl.programs.configuration import quote
@@ -23,7 +23,7 @@ from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
 from fishrl.settings import flatten, to_plain
 from fishrl.training.callback import SILENT
-from fishrl.training.run_folder import read_config, write_whole
+from fishrl.training.run_folder import read_config
 
 #: Folder and name of each kind of policy in the second task.
 ARMS = {
@@ -114,7 +114,8 @@ def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> No
     places = {"folder": folder, "classifier": find_fitted(folder), "hunt": runs["predation"][0]}
     for name, figure in read_paper()["figures"].items():
         if "file" in figure:
-            copyfile(figure["file"].format(**places), pictures / name)
+            with staged(pictures / name) as stage:
+                copyfile(figure["file"].format(**places), stage)
     curves = {
         title: [
             Curve(name, *metrics[column], number=number)

@@ -1,5 +1,7 @@
 """Write files atomically and into the folder that was named, and read files of tensors safely."""
 
+from __future__ import annotations
+
 import os
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -7,9 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-
-import torch
-from torch import Tensor
 
 
 @contextmanager
@@ -23,6 +22,12 @@ def staged(path: Path) -> Iterator[Path]:
         stage = Path(folder) / path.name
         yield stage
         stage.replace(path)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file completely, or leave it unchanged and raise OSError."""
+    with staged(path) as stage:
+        stage.write_text(text, encoding="utf-8")
 
 
 def check_names(folder: Path) -> Path:
@@ -76,6 +81,8 @@ def load_tensors(
     Raises:
         ValueError: in one line, for a missing or damaged file, and for other tensors.
     """
+    import torch  # heavy, and not needed to write
+
     file = Path(path).expanduser()
     try:
         with zipfile.ZipFile(file) as parts:
@@ -111,7 +118,9 @@ def find_misfit(content: Any, like: Mapping[str, str]) -> str:
 
 def describe_tensor(value: Any) -> str:
     """Return dtype and shape as ``float32 [2, 3]``, followed by whether a number is not finite."""
-    if not isinstance(value, Tensor) or value.is_meta or value.layout != torch.strided:
+    import torch
+
+    if not isinstance(value, torch.Tensor) or value.is_meta or value.layout != torch.strided:
         return f"a {type(value).__name__}"
     note = "" if value.isfinite().all() else " with NaN or infinity"
     return f"{value.dtype} {list(value.shape)}{note}".removeprefix("torch.")

@@ -193,6 +193,20 @@ def test_the_library_logs_and_never_prints() -> None:
         assert not lines, f"{_relative(path)} prints on lines {lines}: use logging"
 
 
+def test_files_are_written_by_functions_that_replace_links() -> None:
+    """To a name from ``staged``; what is appended to, locks and logs, lies in a checked folder."""
+    for path in _sources("fishrl", "experiments"):
+        for call in (node for node in ast.walk(_parse(path)) if isinstance(node, ast.Call)):
+            name = ast.unparse(call.func)
+            words = [ast.unparse(word) for word in call.args]
+            owner, _, method = name.rpartition(".")
+            is_open = method == "open" and any(word[:2] in ("'w", "'x") for word in words)
+            target = owner if is_open or method in ("write_text", "write_bytes") else ""
+            if method in ("savefig", "copy", "copyfile") or name == "torch.save":
+                target = words[-1] if words else ""
+            assert target in ("", "stage", "part"), f"{_relative(path)}: {ast.unparse(call)}"
+
+
 def test_cores_are_counted_as_a_container_allows() -> None:
     for path in set(_sources("fishrl", "experiments")) - {ROOT / "fishrl/limits.py"}:
         names = {getattr(node, "attr", "") for node in ast.walk(_parse(path))}

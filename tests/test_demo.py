@@ -8,7 +8,10 @@ from fishrl.programs import view
 
 
 def test_recorded_films_come_before_anything_heavy_is_imported(tmp_path: Path) -> None:
-    tmp_path /= "o'brien, é"
+    key, tmp_path = tmp_path / "key", tmp_path / "o'brien, é"
+    key.write_text("private")
+    tmp_path.mkdir()
+    (tmp_path / "catching_food_recorded.mp4").symlink_to(key)
     code = (
         "import sys, fishrl.children as children\n"
         "children.start_child = lambda _, *words, **__: sys.exit('\\n'.join(words))\n"
@@ -21,5 +24,6 @@ def test_recorded_films_come_before_anything_heavy_is_imported(tmp_path: Path) -
     settings = view.main.read(done.stderr.splitlines())  # of the first film to be computed
     assert settings.policy == "zoo/predation_small"
     assert settings.save == str(tmp_path / "catching_food.mp4")
+    assert key.read_text() == "private"
     films = sorted(path.name for path in tmp_path.iterdir())
     assert films == ["catching_food_recorded.mp4", "holding_station_recorded.mp4"]

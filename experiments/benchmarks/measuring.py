@@ -16,6 +16,7 @@ import torch
 from pydantic import Field, PositiveFloat, PositiveInt
 from tqdm import tqdm
 
+from fishrl.files import write_whole
 from fishrl.limits import count_cores
 from fishrl.settings import Settings
 
@@ -96,7 +97,7 @@ class Results:
         """Write everything as JSON."""
         cases = [vars(case) | {"advance": None, "prepare": None} for case in self.cases]
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(vars(self) | {"cases": cases}, indent=1), encoding="utf-8")
+        write_whole(path, json.dumps(vars(self) | {"cases": cases}, indent=1))
 
 
 def measure(cases: Sequence[Case], settings: BenchmarkSettings) -> None:

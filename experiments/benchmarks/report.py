@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.benchmarks.measuring import Case, Results
+from fishrl.files import write_whole
 from fishrl.pages import write_table
 
 BEGIN, END = (f"<!-- measured: {mark} -->" for mark in ("begin", "end"))
@@ -167,4 +168,4 @@ def write_page(results: Results, figures: dict[Path, str], page: Path) -> None:
     if not (begin and end):
         raise ValueError(f"{page}: put one line {BEGIN} and below it one line {END} into it")
     text = "\n\n".join([render(results), *pictures])
-    page.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
+    write_whole(page, f"{before}{BEGIN}\n{text}\n{END}{after}")

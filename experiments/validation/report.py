@@ -10,6 +10,7 @@ import matplotlib as mpl
 
 from experiments.validation.case import MISSED, PASS, RECORDED, Check, as_range
 from experiments.validation.runner import FIGURE_STYLE, Outcome
+from fishrl.files import staged, write_whole
 from fishrl.pages import write_table
 from fishrl.training.run_folder import write_json
 
@@ -38,10 +39,10 @@ def write_report(outcomes: Sequence[Outcome], *, page: Path, json_path: Path, co
     for outcome in outcomes:
         name = outcome.case.name
         if outcome.figure is not None:
-            with mpl.rc_context(FIGURE_STYLE):
-                outcome.figure.savefig(figures / f"{name}.png")
-        (cases / f"{name}.md").write_text(render_case(outcome), encoding="utf-8")
-    page.write_text(render(outcomes, command), encoding="utf-8")
+            with mpl.rc_context(FIGURE_STYLE), staged(figures / f"{name}.png") as stage:
+                outcome.figure.savefig(stage)
+        write_whole(cases / f"{name}.md", render_case(outcome))
+    write_whole(page, render(outcomes, command))
     rows = [
         {"case": outcome.case.name, **asdict(check), "error": check.error, "verdict": check.verdict}
         for outcome in outcomes

@@ -27,7 +27,7 @@ from tqdm import tqdm
 from experiments.benchmarks.machine import describe_machine
 from experiments.validation import wake
 from experiments.validation.case import Case, Check, Job, Runs
-from fishrl.files import staged
+from fishrl.files import write_whole
 from fishrl.physics.cache_key import hash_sources, make_key, strip_code
 from fishrl.programs.figures.style import COLOURS, STYLE, tidy
 
@@ -114,8 +114,7 @@ def run_cases(
         logger.info("%s %s: %.1f s", outcome.case.name, job.label, seconds)
         record = {"label": job.label, "seconds": seconds, "machine": machine}
         outcome.records[job.label] = record | {"result": json.loads(result)}
-        with staged(path) as stage:
-            stage.write_text(json.dumps(outcome.records[job.label], indent=1) + "\n")
+        write_whole(path, json.dumps(outcome.records[job.label], indent=1) + "\n")
     for outcome in outcomes:
         _judge(outcome)
     return outcomes

@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn.functional import relu
 
 from fishrl.envs.sensors import sense_target, wrap_angle
-from fishrl.files import describe_tensor, load_tensors
+from fishrl.files import describe_tensor, load_tensors, staged
 from fishrl.settings import Settings
 
 
@@ -151,7 +151,9 @@ def save_weights(layers: list[tuple[Tensor, Tensor]], path: str | Path) -> None:
 
     Those of a policy are in the ``nn.Linear`` among ``load_policy("runs/<name>").modules()``.
     """
-    torch.save([(weight.detach().cpu(), bias.detach().cpu()) for weight, bias in layers], path)
+    kept = [(weight.detach().cpu(), bias.detach().cpu()) for weight, bias in layers]
+    with staged(Path(path)) as stage:
+        torch.save(kept, stage)
 
 
 def load_weights(path: str | Path) -> list[tuple[Tensor, Tensor]]:

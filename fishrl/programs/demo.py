@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fishrl.children import start_child
+from fishrl.files import staged
 
 ZOO = Path(__file__).parents[1] / "zoo"
 #: Policy, name of its files, and after how many T its film ends.
@@ -28,7 +29,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     folder = Path(options.folder).resolve()
     folder.mkdir(parents=True, exist_ok=True)
     for name, title, _ in SHOWS:
-        film = shutil.copy(ZOO / name / "film.mp4", folder / f"{title}_recorded.mp4")
+        film = folder / f"{title}_recorded.mp4"
+        with staged(film) as stage:
+            shutil.copy(ZOO / name / "film.mp4", stage)
         sys.stdout.write(f"{film}: recorded film of zoo/{name}\n")
     sys.stdout.write("now in a flow computed here: about a minute, most of it compilation\n")
     sys.stdout.flush()
@@ -41,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             save = f"{folder / title}.mp4".replace("'", r"\'")
             words += [f"save='{save}'", f"compile={not options.eager}"]
             log = Path(place, name)
-            running[log] = start_child(swim, *words, cwd=place, stderr=log.open("w"))
+            running[log] = start_child(swim, *words, cwd=place, stderr=log.open("a"))
         try:
             for log, process in running.items():
                 if process.wait():

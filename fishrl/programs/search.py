@@ -131,7 +131,7 @@ def search(settings: SearchSettings) -> Any:
         run_trial(settings, study, trial.number)
     while len(study.trials) < settings.trials:
         # Each trial has its own seed, also where several processes search: nothing is drawn twice.
-        with (settings.path / "study.lock").open("w") as held:
+        with (settings.path / "study.lock").open("a") as held:
             take_lock(held, waits=True, is_passed_on=True)
             study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
             number = study.ask(settings.space()).number

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from fishrl.files import write_whole
 from fishrl.pages import escape, write_csv, write_table
 from fishrl.programs.figures.learning_curve import RATE, Curve, draw_curves, read_metrics
 from fishrl.programs.program import program
@@ -26,7 +27,6 @@ from fishrl.programs.statistics import (
 from fishrl.programs.sweeps.groups import Group, group_runs, is_number
 from fishrl.programs.sweeps.runs import Run, advise, read_run, read_runs
 from fishrl.settings import Settings
-from fishrl.training.run_folder import write_whole
 
 #: Heading, entry of a run's summary, format. ``curve_mean`` is the mean success rate over all
 #: evaluations of a training: the earlier a policy succeeds, the greater.

@@ -13,6 +13,7 @@ import torch
 from pydantic import NonNegativeInt, PositiveFloat, PositiveInt
 
 from fishrl.envs import KarmanGait
+from fishrl.files import write_whole
 from fishrl.programs.gait import figures, trials
 from fishrl.programs.gait.diagnostics import combine_seeds, diagnose, trace_work
 from fishrl.programs.gait.free_stream import hold_in_free_stream
@@ -20,7 +21,7 @@ from fishrl.programs.gait.tables import write_free_stream, write_results
 from fishrl.programs.program import TaskSettings, program
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.progress import Progress
-from fishrl.training.run_folder import write_json, write_whole
+from fishrl.training.run_folder import write_json
 
 
 class TransferSettings(TaskSettings):

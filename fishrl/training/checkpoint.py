@@ -17,7 +17,7 @@ from pydantic import Field, PositiveInt
 from torch import nn
 from torchrl.checkpoint import Checkpoint, StateDictCheckpointAdapter
 
-from fishrl.files import describe_tensor, load_tensors
+from fishrl.files import describe_tensor, load_tensors, write_whole
 from fishrl.training.plain_files import Count, Stored, Tree, read_plain
 from fishrl.training.policy_spec import CHECKED, PolicySpec
 from fishrl.training.policy_zoo import find_folder
@@ -109,7 +109,7 @@ def write_sums(folder: Path) -> None:
     apart = (folder / SUMS, folder / "README.md")
     files = [file for file in sorted(folder.rglob("*")) if file.is_file() and file not in apart]
     lines = [f"{_sum(file)}  {file.relative_to(folder).as_posix()}\n" for file in files]
-    (folder / SUMS).write_text("".join(lines), encoding="utf-8")
+    write_whole(folder / SUMS, "".join(lines))
 
 
 def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[str, Any]]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from shutil import copyfile
 
 from fishrl.envs.transforms import ORACLE
+from fishrl.files import staged
 from fishrl.modules import LateralLineClassifier
 from fishrl.training.policy_zoo import PREFIX, find_policy
 
@@ -48,7 +49,8 @@ def keep_recognition(choice: Recognition, folder: Path) -> str | None:
         return OWN
     source = Path(str(find_classifier(choice, Path()))).expanduser()
     LateralLineClassifier.load(source)
-    copyfile(source, folder / OWN)
+    with staged(folder / OWN) as stage:
+        copyfile(source, stage)
     return OWN
 
 

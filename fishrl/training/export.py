@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from fishrl import __version__
-from fishrl.files import check_names, staged
+from fishrl.files import check_names, write_whole
 from fishrl.pages import escape, write_csv, write_table
 from fishrl.training.checkpoint import read_metadata, save_checkpoint, write_sums
 from fishrl.training.classifier import find_classifier, keep_recognition
@@ -78,8 +78,7 @@ def export_policy(
     card = _write_card(
         plan, summary, title=title or folder.name, frames=metadata["frames"], revision=revision
     )
-    with staged(folder / "README.md") as stage:
-        stage.write_text(card, encoding="utf-8")
+    write_whole(folder / "README.md", card)
     return folder
 
 

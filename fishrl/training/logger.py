@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from fishrl.files import write_whole
 from fishrl.settings import describe
 from fishrl.training.plain_files import check_words
-from fishrl.training.run_folder import write_whole
 
 logger = logging.getLogger(__name__)
 

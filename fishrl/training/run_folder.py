@@ -16,7 +16,7 @@ from typing import Any, TextIO
 import yaml
 
 from fishrl.envs.transforms import ORACLE
-from fishrl.files import check_names, staged
+from fishrl.files import check_names, write_whole
 from fishrl.locks import take_lock
 from fishrl.training.classifier import OWN
 from fishrl.training.interruption import Interrupted
@@ -118,7 +118,7 @@ class RunFolder:
         except (HeldError, Interrupted):
             raise
         except Exception:
-            self.failure.write_text(traceback.format_exc(), encoding="utf-8")
+            write_whole(self.failure, traceback.format_exc())
             raise
 
 
@@ -189,12 +189,6 @@ def _as_json(value: Any) -> Any:
 def write_yaml(path: Path, values: Mapping[str, Any]) -> None:
     """Write nested settings."""
     write_whole(path, yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True))
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file completely, or leave it unchanged and raise OSError."""
-    with staged(path) as stage:
-        stage.write_text(text, encoding="utf-8")
 
 
 def _unwritable(path: Path, reason: str) -> ValueError:

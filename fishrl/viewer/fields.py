@@ -13,7 +13,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from torch import Tensor
 
-from fishrl.files import make_folder
+from fishrl.files import make_folder, staged, write_whole
 from fishrl.physics import InPlaceSolver, Scales, compute_pressure, compute_vorticity
 
 if TYPE_CHECKING:
@@ -90,7 +90,8 @@ def make_dataset(series: Mapping[str, Tensor], *, body_length: float) -> xr.Data
 def write_netcdf(flow: xr.Dataset, path: Path | str) -> None:
     """Write one compressed NetCDF file."""
     packing = {name: {"zlib": True, "complevel": 4} for name in flow.data_vars}
-    flow.to_netcdf(path, engine="h5netcdf", encoding=packing)
+    with staged(Path(path)) as stage:
+        flow.to_netcdf(stage, engine="h5netcdf", encoding=packing)
 
 
 def write_zarr(flow: xr.Dataset, path: Path | str) -> None:
@@ -126,11 +127,8 @@ def write_vtk(flow: xr.Dataset, path: Path | str) -> None:
             file = quoteattr(f"{folder.name}/{name}")
             rows.append(f'<DataSet timestep="{time:.6g}" part="{part}" file={file}/>')
     text = "\n".join(rows)
-    path.write_text(
-        '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n'
-        f"<Collection>\n{text}\n</Collection>\n</VTKFile>\n",
-        encoding="utf-8",
-    )
+    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n'
+    write_whole(path, f"{head}<Collection>\n{text}\n</Collection>\n</VTKFile>\n")
 
 
 WRITERS = {".nc": write_netcdf, ".zarr": write_zarr, ".pvd": write_vtk}

@@ -11,6 +11,7 @@ from typing import Any, get_args
 
 from fishrl.children import make_environment
 from fishrl.envs.scene import Scene
+from fishrl.files import staged
 from fishrl.viewer.blueprint import make_blueprint
 from fishrl.viewer.drawing import TIMELINE, Drawing
 from fishrl.viewer.process import Viewer
@@ -101,8 +102,8 @@ def write_screenshot(
             file without moments in time.
     """
     check_folder(picture)
-    with open_headless(path, time_T) as viewer:
-        Path(picture).write_bytes(viewer.settle())
+    with open_headless(path, time_T) as viewer, staged(Path(picture)) as stage:
+        stage.write_bytes(viewer.settle())
 
 
 class HeadlessViewer:

@@ -17,6 +17,7 @@ from matplotlib.patches import Circle, FancyArrowPatch, Polygon
 from numpy.typing import NDArray
 
 from fishrl.envs.scene import Arrow, Frame, Scene
+from fishrl.files import staged
 from fishrl.viewer.colours import RED_BLUE, WHITE_BLUE, round_up, space_ticks
 from fishrl.viewer.recording import Recording
 
@@ -252,7 +253,8 @@ def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
             flow.show(recording.frames[: frames[i] + 1])
             label_axes(axes, x=i + columns >= len(frames), y=i % columns == 0)
         flow.add_colourbar(figure, grid, aspect=40)
-        figure.savefig(path)
+        with staged(Path(path)) as stage:
+            figure.savefig(stage)
 
 
 def write_flow(recording: Recording, path: str | PathLike[str]) -> None:
@@ -260,7 +262,8 @@ def write_flow(recording: Recording, path: str | PathLike[str]) -> None:
     with mpl.rc_context(STYLE):
         figure, flow = make_single(fit_colours(recording))
         flow.show(recording.frames)
-        figure.savefig(path)
+        with staged(Path(path)) as stage:
+            figure.savefig(stage)
 
 
 def write_film(recording: Recording, path: str | PathLike[str]) -> None:
@@ -277,18 +280,19 @@ def write_film(recording: Recording, path: str | PathLike[str]) -> None:
     painter = FramePainter(fit_colours(recording), dpi=dpi)
     width, height = (2 * (side // 2) for side in painter.size)  # H.264 wants even sides
     fps = round(min(25.0, max(10.0, len(recording.frames) / _FILM_S)))
-    writer = imageio_ffmpeg.write_frames(
-        str(path), (width, height), fps=fps, macro_block_size=2, **options
-    )
-    writer.send(None)
-    try:
-        for frame in recording.frames:
-            picture = np.ascontiguousarray(painter.paint(frame)[:height, :width])
-            writer.send(picture)
-        for _ in range(round(_HOLD_S * fps)):
-            writer.send(picture)
-    finally:
-        writer.close()
+    with staged(Path(path)) as stage:
+        writer = imageio_ffmpeg.write_frames(
+            str(stage), (width, height), fps=fps, macro_block_size=2, **options
+        )
+        writer.send(None)
+        try:
+            for frame in recording.frames:
+                picture = np.ascontiguousarray(painter.paint(frame)[:height, :width])
+                writer.send(picture)
+            for _ in range(round(_HOLD_S * fps)):
+                writer.send(picture)
+        finally:
+            writer.close()
 
 
 def make_single(scene: Scene) -> tuple[Figure, FlowAxes]:

@@ -27,7 +27,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig
 
 from fishrl.children import start_child
-from fishrl.files import make_folder
+from fishrl.files import make_folder, write_whole
 from fishrl.programs.configuration import parse, run_hydra, split_options
 from fishrl.programs.program import set_up_logging, show_command
 from fishrl.programs.sweeps.ending import ending_runs, leave_ending_to_sweep
@@ -35,7 +35,7 @@ from fishrl.programs.sweeps.runs import Run, advise, count_frames, read_run
 from fishrl.programs.train_settings import TRAINING, TrainConfig
 from fishrl.training.interruption import SIGNALS
 from fishrl.training.progress import Progress
-from fishrl.training.run_folder import RunFolder, write_whole
+from fishrl.training.run_folder import RunFolder
 from fishrl.training.runs import find_result, find_run
 
 logger = logging.getLogger(__name__)
@@ -190,5 +190,5 @@ def run_job(job: Job) -> Run:
             reason = f"killed by {signal.Signals(-code).name}; see output.log"
         elif lines := (path / "output.log").read_text(encoding="utf-8").strip().splitlines():
             reason = lines[-1].removeprefix("error: ")
-        folder.failure.write_text(f"{reason}\n", encoding="utf-8")
+        write_whole(folder.failure, f"{reason}\n")
     return read_run(path)
