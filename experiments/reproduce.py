@@ -192,9 +192,7 @@ class Record:
 def alone(folder: Path) -> Iterator[int]:
     """Hold a folder until the block and all processes started in it have ended; yield the lock."""
     with (folder / "lock").open("a") as file:
-        if not take_lock(file, is_passed_on=True):
-            print(f"waiting for a job that still runs in {folder}", flush=True)
-            take_lock(file, waits=True, is_passed_on=True)
+        take_lock(file, waits=True, is_passed_on=True)
         yield file.fileno()
 
 

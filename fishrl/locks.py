@@ -31,9 +31,13 @@ def take_lock(file: IO[Any], *, waits: bool = False, is_passed_on: bool = False)
             raise OSError("this system has no fcntl")
         how = fcntl.LOCK_EX if file.writable() else fcntl.LOCK_SH
         take = fcntl.flock if is_passed_on else fcntl.lockf
-        take(file, how if waits else how | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError):
-        return False
+        try:
+            take(file, how | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError):
+            if not waits:
+                return False
+            logger.info("waiting for another process, which holds %s", file.name)
+            take(file, how)
     except OSError as error:
         logger.info("%s cannot be locked (%s): start nothing twice", file.name, error)
     return True

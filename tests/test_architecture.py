@@ -17,6 +17,7 @@ TENSORS = {
         "fishrl.children",
         "fishrl.files",
         "fishrl.limits",
+        "fishrl.locks",
         "fishrl.memory",
         "fishrl.settings",
         "fishrl.torch_state",

@@ -18,6 +18,7 @@ from torch import Tensor
 from tqdm import trange
 
 from fishrl.files import load_tensors, staged
+from fishrl.locks import take_lock
 from fishrl.memory import check_memory
 from fishrl.physics.bodies.motion import Fixed
 from fishrl.physics.cache_key import hash_sources, make_key
@@ -80,17 +81,20 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path) -> WakeBank:
     """Read the bank of a recipe from its file in ``folder``, or compute and store it."""
     path = Path(folder).expanduser() / f"wakes-{recipe.key}.pt"
     names = ("populations", "shedding_frequencies")
-    if path.is_file():
-        num, size = len(recipe.speeds), (recipe.config.height, recipe.config.width)
-        found = (f"float32 {[num, recipe.num_phases, Q, *size]}", f"float64 {[num]}")
-        like = dict(zip(names, found, strict=True))
-        return WakeBank(**load_tensors(path, what="wakes", remedy="delete the file", like=like))
-    logger.info("developing %d wakes; they will be stored in %s", len(recipe.speeds), path)
-    bank = develop_wakes(recipe)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with staged(path) as stage:
-        torch.save({name: getattr(bank, name) for name in names}, stage)
-    return bank
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.with_suffix(".lock").open("a") as file:
+            take_lock(file, waits=True, is_passed_on=True)
+            if not path.is_file():  # else another process or thread has just developed them
+                num = len(recipe.speeds)
+                logger.info("developing %d wakes; they will be stored in %s", num, path)
+                bank = develop_wakes(recipe)
+                with staged(path) as stage:
+                    torch.save({name: getattr(bank, name) for name in names}, stage)
+    num, size = len(recipe.speeds), (recipe.config.height, recipe.config.width)
+    found = (f"float32 {[num, recipe.num_phases, Q, *size]}", f"float64 {[num]}")
+    like = dict(zip(names, found, strict=True))
+    return WakeBank(**load_tensors(path, what="wakes", remedy="delete the file", like=like))
 
 
 def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:

@@ -56,12 +56,12 @@ class Coupling(Enum):
     def find_least_density(self, body: BodyConfig) -> float:
         """Return the least ``density_ratio`` of a body that the flow moves, for a stable flow.
 
-        With ``IMPLICIT`` a body may lack the mass of water of one node around its outline; see
+        With ``IMPLICIT`` a body may lack the mass of water of half a node along its outline; see
         "Motion" in the documentation's theory for the measurements.
         """
         if self is not Coupling.IMPLICIT:
             return 0.0 if self is Coupling.BOUNCE_BACK else 1.0
-        return max(0.0, 1.0 - body.spacing * body.num_markers / body.area)
+        return max(0.0, 1.0 - 0.5 * body.spacing * body.num_markers / body.area)
 
 
 class Sponge(Settings):

@@ -1,5 +1,6 @@
 """Loggers of metrics: a CSV file, and optionally Weights & Biases."""
 
+import configparser
 import csv
 import io
 import logging
@@ -12,12 +13,15 @@ from pathlib import Path
 from typing import Any
 
 from fishrl.files import write_whole
+from fishrl.pages import show
 from fishrl.settings import describe
 from fishrl.training.plain_files import check_words
 
 logger = logging.getLogger(__name__)
 
 
+#: Settings of Weights & Biases that a file in the working directory may hold.
+_HARMLESS = {"entity", "project", "mode", "disabled"}
 #: A number or a blank.
 _CELL = re.compile(r"(-?(\d+(\.\d+)?(e[+-]\d+)?|inf))?", re.ASCII)
 
@@ -128,6 +132,21 @@ class CsvLogger:
         return text.getvalue()
 
 
+def _check_settings(path: Path) -> None:
+    """Raise ValueError for a file of settings of Weights & Biases that may redirect what is sent.
+
+    It reads the one in the working directory, which may be the folder of others.
+    """
+    files = configparser.ConfigParser(interpolation=None)
+    files.read(path, encoding="utf-8")
+    odd = sorted({name for part in files.values() for name in part} - _HARMLESS)
+    if odd:
+        raise ValueError(
+            f"{path}: sets {show(', '.join(odd))} of Weights & Biases; if it is yours, move it to "
+            "~/.config/wandb/settings, or give variables such as WANDB_BASE_URL"
+        )
+
+
 class WandbLogger(CsvLogger):
     """Weights & Biases in addition to the CSV file.
 
@@ -136,7 +155,8 @@ class WandbLogger(CsvLogger):
         is_offline: write below the run folder and upload nothing; ``wandb sync`` does so later.
             Otherwise the variable ``WANDB_MODE`` decides.
 
-    ``open`` raises ValueError where Weights & Biases refuses the run, as without an API key.
+    ``open`` raises ValueError where Weights & Biases refuses the run, as without an API key, and
+    for a file ``wandb/settings`` in the working directory that names a server, say.
     """
 
     def __init__(self, *, project: str = "fishrl", is_offline: bool = False) -> None:
@@ -151,6 +171,7 @@ class WandbLogger(CsvLogger):
         self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
     ) -> None:
         """Start the run at Weights & Biases as well; a resumed run keeps its identity."""
+        _check_settings(Path(self._wandb.Settings().settings_workspace))
         super().open(folder, columns=columns, config=config, step=step)
         identity = folder / "wandb_id"
         try:

@@ -1,8 +1,8 @@
 """Episodes of a policy as a Minari dataset.
 
 Needs the extra ``export``; import it by its full name:
-``from fishrl.wrappers.minari import write_dataset``. ``minari.load_dataset`` and TorchRL's
-``MinariExperienceReplay`` read the dataset.
+``from fishrl.wrappers.minari import write_dataset``. ``minari.load_dataset`` reads the dataset;
+``MinariExperienceReplay`` of TorchRL 0.14.1 reads its spaces, but zeros in place of any data.
 """
 
 import os

@@ -124,6 +124,25 @@ def test_wandb_mode_is_respected_and_a_missing_key_is_an_error_in_one_line(
         assert len([*tmp_path.glob("wandb/offline-run-*")]) == num_recorded
 
 
+def test_a_file_in_the_working_directory_chooses_no_server_for_wandb(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    for folder in ("wandb", ".wandb"):  # the second where it exists
+        file = tmp_path / folder / "settings"
+        file.parent.mkdir()
+        for setting in ("base_url = http://127.0.0.1:9", "https_proxy = http://127.0.0.1:9"):
+            file.write_text(f"[default]\nproject = fish\n{setting}\n")
+            with pytest.raises(
+                ValueError, match=rf"settings: sets {setting.split()[0]} of Weights"
+            ):
+                open_and_close(tmp_path / "run")
+        file.write_text("[default]\nproject = fish\nmode = offline\n")
+    (tmp_path / "run").mkdir()
+    open_and_close(tmp_path / "run")
+
+
 def open_and_close(folder: Path, *, is_offline: bool = True) -> None:
     wandb.teardown()  # as in a new process, which reads the variables
     logger = WandbLogger(is_offline=is_offline)
