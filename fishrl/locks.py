@@ -12,19 +12,16 @@ logger = logging.getLogger(__name__)
 
 
 def take_lock(file: IO[Any], *, waits: bool = False, is_passed_on: bool = False) -> bool:
-    """Lock an open file until it is closed or this process ends.
+    """Lock an open file until it is closed or this process ends; False if another one holds it.
 
-    A file that is open for reading gets a lock that others may share. On a system or a file system
-    without locks, that is logged.
+    A file that is open for reading gets a lock that others may share. Where there are no locks, on
+    a file system or on Windows, it counts as locked, and that is logged.
 
     Args:
         file: the file.
         waits: wait until it is free.
         is_passed_on: child processes that get the open file hold the lock too, and threads of this
             process exclude each other.
-
-    Returns:
-        Whether it is locked, or cannot be; False if another process holds it.
     """
     try:
         if fcntl is None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from fishrl.files import staged
 
-#: How a formula of a spreadsheet begins, and a number with a sign.
-_FORMULA = re.compile(r"\s*[=+\-@＝＋－＠]")
+#: How a formula of a spreadsheet begins, but for a number with a sign.
+_FORMULA = re.compile(r"^(?![+-](\d+\.?\d*(e[+-]?\d+)?|inf)$)\s*[=+\-@＝＋－＠]")
 _MARKUP = r"[\\|<]|(?<=\])[(\[]"
 
 
@@ -31,19 +31,12 @@ def write_table(
 
 def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a CSV file; an apostrophe begins words that a spreadsheet would take for a formula."""
-    cells = [[_disarm(cell) for cell in row] for row in (heads, *rows)]
+    cells = [
+        [_FORMULA.sub(r"'\g<0>", cell) if isinstance(cell, str) else cell for cell in row]
+        for row in (heads, *rows)
+    ]
     with staged(path) as stage, stage.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows(cells)
-
-
-def _disarm(cell: object) -> object:
-    if not isinstance(cell, str) or not _FORMULA.match(cell):
-        return cell
-    try:
-        float(cell)
-    except ValueError:
-        return f"'{cell}"
-    return cell
 
 
 def escape(text: str, pattern: str = _MARKUP) -> str:

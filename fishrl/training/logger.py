@@ -133,13 +133,13 @@ class CsvLogger:
 
 
 def _check_settings(path: Path) -> None:
-    """Raise ValueError for a file of settings of Weights & Biases that may redirect what is sent.
-
-    It reads the one in the working directory, which may be the folder of others.
-    """
+    """Raise ValueError for a file of the working directory that may redirect what wandb sends."""
     files = configparser.ConfigParser(interpolation=None)
-    files.read(path, encoding="utf-8")
-    odd = sorted({name for part in files.values() for name in part} - _HARMLESS)
+    try:
+        files.read(path, encoding="utf-8")
+        odd = sorted({name for part in files.values() for name in part} - _HARMLESS)
+    except (configparser.Error, UnicodeDecodeError):
+        odd = ["what cannot be read"]
     if odd:
         raise ValueError(
             f"{path}: sets {show(', '.join(odd))} of Weights & Biases; if it is yours, move it to "

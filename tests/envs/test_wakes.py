@@ -1,7 +1,5 @@
 """Developed wakes: frequency, phases, keys and files."""
 
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from math import pi
@@ -17,7 +15,6 @@ from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.collision import compute_macroscopic
 
-ROOT = Path(__file__).parents[2]
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
 #: A half disc of 8 nodes at Re 100: far too coarse to trust, fast enough to test with.
 RECIPE = WakeRecipe(
@@ -114,26 +111,6 @@ def test_those_that_ask_at_once_for_a_wake_develop_it_once(
         banks = list(pool.map(lambda _: load_wakes(RECIPE, tmp_path), range(4)))
     assert made == ["wake"]
     assert all(torch.equal(each.populations, bank.populations) for each in banks)
-
-
-def test_a_wake_that_another_process_develops_is_waited_for(bank: WakeBank, tmp_path: Path) -> None:
-    path = tmp_path / f"wakes-{RECIPE.key}.pt"
-    hold = "import sys; from fishrl.locks import take_lock; file = open(sys.argv[1], 'a'); "
-    hold += "print(take_lock(file, is_passed_on=True), flush=True); sys.stdin.read()"
-    words = [sys.executable, "-c", hold, str(path.with_suffix(".lock"))]
-    with (
-        subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT) as other,
-        ThreadPoolExecutor(1) as pool,
-    ):
-        assert other.stdin and other.stdout and other.stdout.readline() == b"True\n"
-        waiting = pool.submit(load_wakes, RECIPE, tmp_path)
-        sleep(0.2)
-        assert not waiting.done()
-        torch.save(
-            {"populations": bank.populations, "shedding_frequencies": torch.zeros(1).double()}, path
-        )
-        other.stdin.close()
-        assert waiting.result(60.0).shedding_frequencies.tolist() == [0.0]  # not its own
 
 
 def test_key_covers_all_that_shapes_the_wakes_and_nothing_else() -> None:

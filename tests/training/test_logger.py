@@ -132,10 +132,14 @@ def test_a_file_in_the_working_directory_chooses_no_server_for_wandb(
     for folder in ("wandb", ".wandb"):  # the second where it exists
         file = tmp_path / folder / "settings"
         file.parent.mkdir()
-        for setting in ("base_url = http://127.0.0.1:9", "https_proxy = http://127.0.0.1:9"):
+        for setting in (
+            "base_url = http://127.0.0.1:9",
+            "https_proxy = http://127.0.0.1:9",
+            "what",
+        ):
             file.write_text(f"[default]\nproject = fish\n{setting}\n")
             with pytest.raises(
-                ValueError, match=rf"settings: sets {setting.split()[0]} of Weights"
+                ValueError, match=rf"settings: sets {setting.split()[0]} .*Weights &"
             ):
                 open_and_close(tmp_path / "run")
         file.write_text("[default]\nproject = fish\nmode = offline\n")
