@@ -156,14 +156,14 @@ def test_a_flipped_bit_in_stored_code_is_noticed(
 
 def test_the_key_of_a_machine_has_its_instructions_and_its_compiler(tmp_path: Path) -> None:
     compiler, keys = tmp_path / "g++", []
-    for flags in ("", "-march=haswell", "-march=x86-64-v2", "-D__VERSION__='13'", ""):
+    for flags in ("", "-march=bonnell", "-D__VERSION__='13'", ""):
         compiler.write_text(f'#!/bin/sh\nexec g++ "$@" {flags}\n')
         compiler.chmod(0o755)
         compiled_module._describe_target.cache_clear()
         with inductor_config.patch({"cpp.cxx": str(compiler)}):
             keys.append(compiled_module._identify_machine(torch.device("cpu")))
     compiled_module._describe_target.cache_clear()
-    assert keys[0] == keys[-1] and len(set(keys)) == 4
+    assert keys[0] == keys[-1] and len(set(keys)) == 3
 
 
 def find_problem() -> str | None:
