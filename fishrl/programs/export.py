@@ -6,6 +6,7 @@ The ending of ``save`` says how: ``.nc`` NetCDF and ``.zarr`` Zarr, both read by
 VTK files for ParaView. Needs the extra ``export``.
 """
 
+import json
 from contextlib import closing
 from itertools import cycle
 from pathlib import Path
@@ -15,10 +16,13 @@ from pydantic import PositiveFloat, PositiveInt
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from fishrl import __version__
 from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.extras import show_install
+from fishrl.programs.export_policy import read_revision
 from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
+from fishrl.settings import describe
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
@@ -75,7 +79,19 @@ def simulate(settings: ExportSettings, *, progress: Callback = SILENT) -> "xr.Da
             on_step=end,
             on_frame=lambda start_of, flows: read(start_of, flows) if next(is_due) else {},
         )
-    return make_dataset(episodes.traces.of(0), body_length=task.scales.body_length)
+    return make_dataset(
+        episodes.traces.of(0),
+        body_length=task.scales.body_length,
+        about={  # names of the CF conventions, where there are any
+            "title": f"{type(task).__name__}, policy {settings.source}, seed {settings.seed}",
+            "source": f"fishrl {__version__}, commit {read_revision() or 'unknown'}",
+            "comment": "lengths in body lengths L, times in periods T, pressure in rho (L/T)^2",
+            "task": json.dumps(describe(task)),
+            "reynolds": task.reynolds,
+            "mach": task.scales.mach,
+            "steps_per_T": task.scales.period,
+        },
+    )
 
 
 @program(ExportSettings, groups={"task": "predation", "preset": None}, stored=read_task)

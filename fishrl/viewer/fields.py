@@ -53,7 +53,12 @@ def read_fields(solver: InPlaceSolver, scales: Scales) -> dict[str, Tensor]:
     }
 
 
-def make_dataset(series: Mapping[str, Tensor], *, body_length: float) -> xr.Dataset:
+def make_dataset(
+    series: Mapping[str, Tensor],
+    *,
+    body_length: float,
+    about: Mapping[str, str | float] | None = None,
+) -> xr.Dataset:
     """Return what ``read_fields`` gave of one flow at F moments, on one time axis.
 
     A moment that was read twice is written once.
@@ -61,6 +66,7 @@ def make_dataset(series: Mapping[str, Tensor], *, body_length: float) -> xr.Data
     Args:
         series: by name, ``[F, ...]``, in order; such as ``Traces.of(0)``.
         body_length: L in nodes.
+        about: further attributes of the data set.
 
     Returns:
         Fields ``(time, y, x)`` and closed outlines ``(time, marker, component)`` in L and T.
@@ -71,9 +77,9 @@ def make_dataset(series: Mapping[str, Tensor], *, body_length: float) -> xr.Data
     values = {name: value.numpy()[is_new] for name, value in series.items()}
     _, height, width = values["u"].shape
     axes = {
-        "time": ("time", values.pop("time"), {"units": "T"}),
-        "y": ("y", np.arange(height) / body_length, {"units": "L"}),
-        "x": ("x", np.arange(width) / body_length, {"units": "L"}),
+        "time": ("time", values.pop("time"), {"units": "T", "axis": "T"}),
+        "y": ("y", np.arange(height) / body_length, {"units": "L", "axis": "Y"}),
+        "x": ("x", np.arange(width) / body_length, {"units": "L", "axis": "X"}),
     }
     fields = {
         name: (("time", "y", "x"), values.pop(name), {"units": unit, "long_name": text})
@@ -84,7 +90,8 @@ def make_dataset(series: Mapping[str, Tensor], *, body_length: float) -> xr.Data
         name: (("time", name.replace("outline", "marker"), "component"), value, words)
         for name, value in values.items()
     }
-    return xr.Dataset({**fields, **outlines}, coords=axes, attrs={"nodes_per_L": body_length})
+    attributes = {"nodes_per_L": body_length, **(about or {})}
+    return xr.Dataset({**fields, **outlines}, coords=axes, attrs=attributes)
 
 
 def write_netcdf(flow: xr.Dataset, path: Path | str) -> None:

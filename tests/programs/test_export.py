@@ -1,5 +1,6 @@
 """Flows and transitions written for other tools are read back by those tools; uploads fail well."""
 
+import json
 import socket
 from pathlib import Path
 
@@ -48,8 +49,12 @@ def test_xarray_reads_netcdf_and_zarr(flow: xr.Dataset, tmp_path: Path) -> None:
         xr.load_dataset(tmp_path / "flow.nc", engine="h5netcdf"),
         xr.open_zarr(tmp_path / "flow.zarr").load(),
     ):
-        xr.testing.assert_equal(read, flow)
+        xr.testing.assert_identical(read, flow)
         assert read["u"].attrs["units"] == "L/T"
+        task = json.loads(read.attrs["task"])
+        assert read.attrs["nodes_per_L"] == task["body_length"] == 16
+        assert read.attrs["reynolds"] == task["reynolds"]
+        assert read.attrs["steps_per_T"] > 1 and "pursuit" in read.attrs["title"]
 
 
 def test_vtk_reads_the_flow_and_the_bodies(flow: xr.Dataset, tmp_path: Path) -> None:
