@@ -25,6 +25,7 @@ import torch
 from torch import Tensor
 
 from fishrl.files import staged
+from fishrl.locks import take_lock
 from fishrl.physics.cache_key import hash_sources, make_key
 
 logger = logging.getLogger(__name__)
@@ -165,7 +166,7 @@ def compile_inplace(
             touched.
         name: key of everything that determines the function, apart from this package's sources and
             ``example``. The result is stored under it next to Inductor's cache, and other processes
-            load it without tracing. None stores nothing.
+            load it without tracing, or wait for it. None stores nothing.
         **patches: Inductor settings.
 
     Raises:
@@ -175,13 +176,28 @@ def compile_inplace(
     if find_compiler_problem(device.type):
         return function
     with _set_up_inductor(device, patches) as folder:
-        path = None if name is None else folder / f"{_make_name(name, example)}.bin"
-        compiled = None if path is None else _load(path)
-        if compiled is None:
-            compiled = _compile(function, example)
-            if path is not None:
+        if name is None:
+            return _reach_code(_compile(function, example))
+        path = folder / f"{_make_name(name, example)}.bin"
+        with _claim(path):
+            if (compiled := _load(path)) is None:
+                compiled = _compile(function, example)
                 _save(path, compiled)
     return _reach_code(compiled)
+
+
+@contextmanager
+def _claim(path: Path) -> Iterator[None]:
+    """Wait until no other process makes what belongs at ``path``."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = path.with_suffix(".lock").open("w")
+    except OSError:  # a folder that cannot be written: ``_save`` says so
+        yield
+        return
+    with lock:
+        take_lock(lock, waits=True)
+        yield
 
 
 def _compile(function: InPlaceFunction, example: Sequence[Tensor]) -> InPlaceFunction:
@@ -238,7 +254,6 @@ def _load(path: Path) -> InPlaceFunction | None:
 def _save(path: Path, compiled: Any) -> None:
     """Keep compiled code; readers see all of it or nothing."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         with staged(path) as part:
             part.write_bytes(gzip.compress(compiled.serialize(), compresslevel=1))
     except TypeError:  # of Inductor, which made nothing that could be stored

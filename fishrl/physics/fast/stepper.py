@@ -71,9 +71,14 @@ class Stepper:
         located = [self.locate] if self.locate and self.locate not in self.parts else []
         return [*self.parts, self.check, *located]
 
-    def compile(self, example: FlowGroup) -> None:
-        """Compile all but the check, for groups of the form of ``example``."""
-        for part in self.list_all():
+    def compile(self, example: FlowGroup, *, share: float = 0.0) -> None:
+        """Compile all but the check, for groups of the form of ``example``.
+
+        Processes that begin at different shares of the list, 0 to 1, load each other's results.
+        """
+        parts = self.list_all()
+        first = int(share * len(parts))
+        for part in parts[first:] + parts[:first]:
             if part is not self.check:
                 part.compile(example.arguments[part][0], self._key)
 

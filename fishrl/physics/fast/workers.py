@@ -81,7 +81,8 @@ class Workers:
         ]
         for first, process in enumerate(self._processes):
             groups = range(first, len(configs) // group_size, count)
-            _send(process.stdin, (configs, group_size, groups, file, compile))
+            share = first / count
+            _send(process.stdin, (configs, group_size, groups, file, compile, share))
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
         """Advance the flows of ``groups``, and wait for the workers."""
@@ -139,7 +140,7 @@ def serve() -> None:
     os.dup2(2, 1)  # nothing but answers may go to the pipe
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
-    configs, group_size, groups, file, compile = pickle.load(requests)
+    configs, group_size, groups, file, compile, share = pickle.load(requests)
     logging.basicConfig(level=logging.WARNING)
     batch = FlowBatch(
         configs,
@@ -150,7 +151,7 @@ def serve() -> None:
     )
     try:
         if compile:
-            batch.stepper.compile(batch.first)
+            batch.stepper.compile(batch.first, share=share)
     except OSError as error:  # of the compiler
         _send(answers, str(error))
         return

@@ -6,6 +6,7 @@ import random
 import shlex
 import shutil
 import string
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -114,6 +115,32 @@ def test_compiled_code_is_stored_for_its_machine_and_loaded_without_tracing(
 def square(x: torch.Tensor) -> tuple[torch.Tensor]:
     """Return the squares of matrices: for this Inductor writes no C++, so it compiles at once."""
     return (torch.bmm(x, x),)
+
+
+SLOW = """
+import time, torch
+from fishrl.physics.fast.compiled import compile_inplace
+def trace(x):
+    print("traced", flush=True)
+    time.sleep(2.0)
+    x.add_(1.0)
+x = torch.zeros(3)
+compile_inplace(trace, [x], name="slow")(x)
+print(x.tolist())
+"""
+
+
+@pytest.mark.compile
+def test_processes_that_need_the_same_code_compile_it_once(tmp_path: Path) -> None:
+    environment = os.environ | {"TORCHINDUCTOR_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", SLOW]
+    both = [
+        subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    said = [process.communicate(timeout=120)[0].split("\n") for process in both]
+    assert sum(words.count("traced") for words in said) == 1
+    assert all("[1.0, 1.0, 1.0]" in words for words in said)
 
 
 @pytest.mark.compile
