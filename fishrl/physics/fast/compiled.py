@@ -191,7 +191,7 @@ def _claim(path: Path) -> Iterator[None]:
     """Wait until no other process makes what belongs at ``path``."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        lock = path.with_suffix(".lock").open("w")
+        lock = path.with_suffix(".lock").open("a")
     except OSError:  # a folder that cannot be written: ``_save`` says so
         yield
         return
