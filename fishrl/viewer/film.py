@@ -39,13 +39,13 @@ FOOD = "#f2b134"
 _NUM_SNAPSHOTS = 6
 _FILM_S = 10.0  # duration of a film, as far as 10 to 25 frames per second allow
 _HOLD_S = 1.5  # for which the last frame stands
-_PALETTE = "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none"
+_PALETTE = "split[a][b];[a]palettegen=max_colors=96[p];[b][p]paletteuse=dither=none"
 _WIDTH_INCHES = 8.0
 #: Dots per inch and ffmpeg's options of a film, by file suffix. A GIF has one palette and no
 #: dithering, so that parts at rest cost nothing.
 FILMS: Mapping[str, tuple[float, Mapping[str, Any]]] = {
     ".mp4": (100.0, {"quality": 7}),
-    ".gif": (80.0, {"codec": "gif", "pix_fmt_out": "pal8", "output_params": ["-vf", _PALETTE]}),
+    ".gif": (70.0, {"codec": "gif", "pix_fmt_out": "pal8", "output_params": ["-vf", _PALETTE]}),
 }
 
 
