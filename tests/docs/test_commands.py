@@ -67,8 +67,8 @@ class _Read(BaseException):
 def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Change to a folder with the runs, tasks and algorithms that the pages mention."""
     folder = tmp_path_factory.mktemp("home")
-    for block in (*read_blocks("tutorials/new_task.md"), *read_blocks("algorithms.md")):
-        if block.file is not None:
+    for page in ("tutorials/new_task.md", "tutorials/gap.md", "algorithms.md"):
+        for block in filter(lambda block: block.file, read_blocks(page)):
             path = folder / "my_fish" / block.file
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(block.code, encoding="utf-8")
