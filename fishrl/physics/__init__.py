@@ -37,6 +37,7 @@ from fishrl.physics.diagnostics import (
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import Coupling, FlowConfig, FlowParams, FlowState, Sponge
 from fishrl.physics.geometry import Markers
+from fishrl.physics.rollout import estimate_memory, simulate
 from fishrl.physics.storage import Storage
 from fishrl.physics.units import Scales, compute_tau
 
@@ -86,6 +87,8 @@ __all__ = [
     "compute_strouhal",
     "compute_tau",
     "compute_vorticity",
+    "estimate_memory",
     "find_crossings",
     "measure_cycles",
+    "simulate",
 ]

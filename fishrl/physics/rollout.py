@@ -1,0 +1,116 @@
+"""Many readable steps as one differentiable function, in the memory of a few.
+
+A step of a flow with B x Y x X nodes saves about a hundred numbers per node for its gradient. Here
+steps are grouped into segments: only the state at the beginning of each is kept, and the steps of a
+segment are repeated when the gradient reaches it (Griewank & Walther 2000, with one level). With
+segments of sqrt(N) steps, N steps need the memory of 2 sqrt(N), and each step is made twice.
+"""
+
+from collections.abc import Callable
+from math import ceil, sqrt
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+from torch.utils import _pytree as pytree
+from torch.utils.checkpoint import checkpoint
+
+from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, make_params
+from fishrl.physics.step import step
+
+Tree = TypeVar("Tree")
+
+
+def simulate(
+    state: FlowState,
+    config: FlowConfig,
+    params: FlowParams | None = None,
+    *,
+    num_steps: int,
+    interval: int = 1,
+    control: Callable[[int, FlowState], FlowState] | None = None,
+    record: Callable[[FlowState], Tree] | None = None,
+    segment: int | None = None,
+) -> tuple[FlowState, Tree | None]:
+    """Advance a batch of flows by many readable steps, differentiably.
+
+    The result depends smoothly on populations, bodies (places, phases, frequencies, bends), and on
+    all of ``params`` (viscosity by ``tau``, streams, outlines, gaits); gradients reach whatever of
+    these requires them, and whatever ``control`` uses. They are exact but for the nodes that a
+    body covers or leaves in between, where a sharp skin jumps.
+
+    Args:
+        state: populations ``[B, Q, Y, X]``, float32 or float64, and bodies.
+        config: configuration of all flows.
+        params: as in ``step``.
+        num_steps: N, a multiple of ``interval``.
+        interval: steps between calls of ``control`` and ``record``.
+        control: called with the number of the interval and the state at its beginning; returns the
+            state to continue with, such as one whose bodies have another ``frequency`` or ``bend``.
+            It must not depend on anything that changes between calls with the same number.
+        record: called with the state at the end of each interval; returns tensors.
+        segment: steps between the states that are kept for the gradient; by default about the
+            square root of N. N keeps everything and repeats nothing.
+
+    Returns:
+        The state after N steps, and what ``record`` returned, with a new first axis ``[N /
+        interval, ...]``; None without it.
+
+    Raises:
+        ValueError: for numbers of steps that do not fit together.
+    """
+    if interval < 1 or num_steps < interval or num_steps % interval:
+        raise ValueError(
+            f"num_steps = {num_steps}, interval = {interval}: num_steps must be a positive multiple"
+            " of interval"
+        )
+    if params is None:
+        params = make_params([config] * len(state.f), state.f.device)
+    num_intervals = num_steps // interval
+    per_segment = max(1, round((segment or sqrt(num_steps)) / interval))
+
+    def advance(state: FlowState, first: int, last: int) -> tuple[FlowState, list[Tree]]:
+        noted = []
+        for number in range(first, last):
+            if control is not None:
+                state = control(number, state)
+            for _ in range(interval):
+                state = step(state, config, params)
+            if record is not None:
+                noted.append(record(state))
+        return state, noted
+
+    records: list[Tree] = []
+    for first in range(0, num_intervals, per_segment):
+        last = min(first + per_segment, num_intervals)
+        if torch.is_grad_enabled() and last - first < num_intervals:
+            state, noted = checkpoint(advance, state, first, last, use_reentrant=False)
+        else:
+            state, noted = advance(state, first, last)
+        records += noted
+    if record is None:
+        return state, None
+    return state, pytree.tree_map(lambda *each: torch.stack(each), *records)
+
+
+def estimate_memory(
+    state: FlowState, config: FlowConfig, params: FlowParams | None = None, *, num_steps: int
+) -> tuple[int, int]:
+    """Return the bytes that ``simulate`` keeps for the gradient, and the segment that needs least.
+
+    It makes one step and counts what that saves.
+    """
+    saved: dict[int, int] = {}
+
+    def count(tensor: Tensor) -> Tensor:
+        storage = tensor.untyped_storage()
+        saved[storage.data_ptr()] = storage.nbytes()
+        return tensor
+
+    with torch.enable_grad(), torch.autograd.graph.saved_tensors_hooks(count, lambda t: t):
+        step(state._replace(f=state.f.detach().clone().requires_grad_()), config, params)
+    per_step = sum(saved.values())
+    tensors = [t for t in pytree.tree_leaves(state) if isinstance(t, Tensor)]
+    per_state = sum(t.untyped_storage().nbytes() for t in tensors)
+    segment = max(1, min(num_steps, round(sqrt(num_steps * per_state / per_step))))
+    return segment * per_step + ceil(num_steps / segment) * per_state, segment
