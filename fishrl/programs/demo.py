@@ -17,7 +17,7 @@ from fishrl.files import staged
 
 ZOO = Path(__file__).parents[1] / "zoo"
 #: Policy, name of its files, and after how many T its film ends.
-SHOWS = (("predation_small", "catching_food", 30), ("gait_small", "holding_station", 12))
+SHOWS = (("predation_small", "catching_food", 30), ("gait_sharp", "holding_station", 12))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with TemporaryDirectory() as place:  # where developed wakes are stored
         running = {}
         for name, title, periods in SHOWS:
-            words = [f"policy=zoo/{name}", f"periods={periods}", "frames_per_T=4"]
+            words = [f"policy=zoo/{name}", f"periods={periods}", "frames_per_T=8"]
             save = f"{folder / title}.mp4".replace("'", r"\'")
             words += [f"save='{save}'", f"compile={not options.eager}"]
             log = Path(place, name)
