@@ -1,9 +1,9 @@
 """Many readable steps as one differentiable function, in the memory of a few.
 
-A step of a flow with B x Y x X nodes saves about a hundred numbers per node for its gradient. Here
-steps are grouped into segments: only the state at the beginning of each is kept, and the steps of a
-segment are repeated when the gradient reaches it (Griewank & Walther 2000, with one level). With
-segments of sqrt(N) steps, N steps need the memory of 2 sqrt(N), and each step is made twice.
+A step saves about thirty numbers per node for its gradient: a beat at L = 50 in 8 L x 4 L 3.8 GB.
+Here steps are grouped into segments. Only the state at the beginning of each is kept, and the steps
+of a segment are repeated when the gradient reaches it (Griewank & Walther 2000, with one level), so
+that N steps need memory in proportion to sqrt(N), 0.2 GB for that beat, and each step is made twice.
 """
 
 from collections.abc import Callable
