@@ -3,7 +3,7 @@
 A step saves about thirty numbers per node for its gradient: a beat at L = 50 in 8 L x 4 L 3.8 GB.
 Here steps are grouped into segments. Only the state at the beginning of each is kept, and the steps
 of a segment are repeated when the gradient reaches it (Griewank & Walther 2000, with one level), so
-that N steps need memory in proportion to sqrt(N), 0.2 GB for that beat, and each step is made twice.
+that N steps need memory in proportion to sqrt(N), 0.2 GB for that beat. Each step is made twice.
 """
 
 from collections.abc import Callable
