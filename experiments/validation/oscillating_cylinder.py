@@ -5,12 +5,14 @@ A cylinder oscillates as x = −A sin 2πt/T in fluid at rest with U T / D = 5, 
 effect of its size. The cylinder starts at rest at its turning point, and the last of 5 periods is
 evaluated. The force is that of the outer fluid. The coefficients of F = −½ρD c_d |v|v − ¼πρD² c_i
 dv/dt are fitted by least squares over the period (a fit of the first harmonic gives a c_d that is 3
-% larger, and the same c_i). There are two series: markers on the surface, and 0.45 nodes inside it.
+% larger, and the same c_i). There are three series: the immersed boundary with markers on the
+surface, and 0.45 nodes inside it, and bounce-back, a sharp surface.
 """
 
 from collections.abc import Iterator
 from math import pi
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -20,6 +22,7 @@ from experiments.validation.case import Case, Check, Job, Result, Runs, check_re
 from experiments.validation.plots import draw_reference
 from experiments.validation.wake import PINNED, make_even, start_flow
 from fishrl.physics import Boundaries, Cylinder, FlowConfig, Oscillating
+from fishrl.physics.flow import Coupling
 
 KC = 5.0  # U T / D
 REYNOLDS = 100.0  # U D / nu
@@ -34,11 +37,16 @@ NUM_SAMPLES = 100  # per period
 LARGE = {"length": 30, "height": 22}  # of the larger domain, D
 LARGE_DOMAIN_DIAMETER = 20
 DIAMETERS = (20, 30, 40)
-INSETS = {0.0: "markers on the surface", 0.45: "markers 0.45 nodes inside"}  # the bodies' default
+SURFACE, INSIDE, SHARP = "markers on the surface", "markers 0.45 nodes inside", "bounce-back"
+SKINS: dict[str, dict[str, Any]] = {
+    SURFACE: {"inset": 0.0},
+    INSIDE: {"inset": 0.45},  # the bodies' default
+    SHARP: {"coupling": "bounce-back"},
+}
 # Fig. 10 of Duetsch et al. 1998: every other point of
 # PacIFiC's src/Octree/MovingCutCell/test-navier-stokes/data/Dutsch1998/Dutsch1998-fig10.csv.
 CURVE = np.loadtxt(Path(__file__).with_name("duetsch_1998.csv"), delimiter=",", skiprows=1)
-HEADLINE = "added-mass coefficient c_i, markers 0.45 nodes inside"
+HEADLINE = f"added-mass coefficient c_i, {SHARP}"
 INERTIA_NOTE = (
     "for comparison only. Spreading enlarges the cylinder by about 0.45 nodes on all sides: "
     "(1 + c_i) (1 + 0.9 / D)² − 1 is 1.68 at D = 20 and 1.56 at D = 40, close to the measured "
@@ -46,7 +54,14 @@ INERTIA_NOTE = (
 )
 
 
-def oscillate(*, diameter: int, length: int = 20, height: int = 15, inset: float = 0.0) -> Result:
+def oscillate(
+    *,
+    diameter: int,
+    length: int = 20,
+    height: int = 15,
+    inset: float = 0.0,
+    coupling: str = "implicit",
+) -> Result:
     """Let a cylinder oscillate along x, starting at rest at its turning point.
 
     The domain is ``length`` by ``height`` D. Returns of the last period ``time`` / T from the
@@ -57,12 +72,14 @@ def oscillate(*, diameter: int, length: int = 20, height: int = 15, inset: float
     period = samples * NUM_SAMPLES
     speed = KC * diameter / period
     amplitude = speed * period / (2.0 * pi)
-    motion = Oscillating(sway=(amplitude, 0.0))
+    how, motion = Coupling(coupling), Oscillating(sway=(amplitude, 0.0))
+    settings = {"inset": inset} | how.body_settings
     config = FlowConfig(
         width=length * diameter,
         height=height * diameter,
         tau=3.0 * speed * diameter / REYNOLDS + 0.5,
-        bodies=(Cylinder(diameter=diameter, inset=inset, motion=motion),),
+        bodies=(Cylinder(diameter=diameter, motion=motion, **settings),),
+        coupling=how,
         boundaries=Boundaries(left=PINNED, right=PINNED, bottom=PINNED, top=PINNED),
     )
     centre = (0.5 * config.width + amplitude + 0.3, 0.5 * config.height + 0.2)
@@ -104,24 +121,24 @@ def fit_force(
 JOBS = [
     Job(
         oscillate,
-        {"diameter": d, "inset": inset, **domain},
+        {"diameter": d, **skin, **domain},
         cost=domain.get("length", 20) ** 2 * 0.75 * d**3 * KC * NUM_PERIODS / SPEED,
     )
-    for inset in INSETS
+    for name, skin in SKINS.items()
     for d in DIAMETERS
-    for domain in ([{}, LARGE] if inset and d == LARGE_DOMAIN_DIAMETER else [{}])
+    for domain in ([{}, LARGE] if name == INSIDE and d == LARGE_DOMAIN_DIAMETER else [{}])
 ]
 
 
 def judge(runs: Runs) -> Iterator[Check]:
-    """Check both coefficients with markers inside, as bodies have them; else record them."""
-    for inset, where in INSETS.items():
-        by_size = runs.by("diameter", inset=inset)
+    """Check both coefficients but with markers on the surface, which bodies have not."""
+    for where, skin in SKINS.items():
+        by_size = runs.by("diameter", **skin)
         finest = by_size[max(by_size)]
         for key, (name, reference) in COEFFICIENTS.items():
             values = {d: run[key] for d, run in by_size.items()}
-            criterion = (reference, "Dütsch et al. 1998", TOLERANCE if inset else None)
-            note = INERTIA_NOTE if key == "c_i" and not inset else ""
+            criterion = (reference, "Dütsch et al. 1998", None if where == SURFACE else TOLERANCE)
+            note = INERTIA_NOTE if key == "c_i" and where == SURFACE else ""
             yield check_refined("D", f"{name}, {where}", values, *criterion, note=note)
         time, theirs = CURVE.T
         ours = np.interp(time, finest["time"], finest["force"], period=1.0)
@@ -133,8 +150,8 @@ def judge(runs: Runs) -> Iterator[Check]:
         ):
             yield Check(f"{quantity}, {where}", value, resolution=f"D = {max(by_size)}")
     for key in COEFFICIENTS:
-        small = runs.read(key, "diameter", inset=0.45)[LARGE_DOMAIN_DIAMETER]
-        large = runs.read(key, "diameter", inset=0.45, **LARGE)[LARGE_DOMAIN_DIAMETER]
+        small = runs.read(key, "diameter", **SKINS[INSIDE])[LARGE_DOMAIN_DIAMETER]
+        large = runs.read(key, "diameter", **SKINS[INSIDE], **LARGE)[LARGE_DOMAIN_DIAMETER]
         name = f"{key} in the larger domain / in the standard one"
         yield Check(name, large / small, resolution=f"D = {LARGE_DOMAIN_DIAMETER}")
 
@@ -142,10 +159,9 @@ def judge(runs: Runs) -> Iterator[Check]:
 def draw(figure: Figure, runs: Runs) -> None:
     """Draw the force over a period."""
     axes = figure.subplots()
-    for inset in INSETS:
-        for d, run in list(runs.by("diameter", inset=inset).items())[::2]:
-            name = f"D = {d}" + (f", inset {inset}" if inset else "")
-            axes.plot(run["time"], run["force"], label=name)
+    for where, skin in SKINS.items():
+        for d, run in list(runs.by("diameter", **skin).items())[::2]:
+            axes.plot(run["time"], run["force"], label=f"D = {d}, {where}")
     draw_reference(axes, CURVE, "Dütsch et al. 1998")
     axes.set(xlabel="time t / T", ylabel="force on the cylinder / ρU²D", xlim=(0.0, 1.0))
     axes.set_title("Oscillating cylinder, KC = 5, Re = 100")

@@ -4,12 +4,13 @@ A disc of d = 0.25 cm is released at (1, 4) cm in a closed box of 2 × 6 cm with
 fluid density of 1 g/cm³. *Slow*: density ratio 1.25, μ = 0.1 g/(cm s). *Fast*: density ratio 1.5, μ
 = 0.01 g/(cm s). *Channel*: W = 4 d, 80 d high, density ratio 1.5, ν = 0.008088, g = 10 (d = 1),
 released at a quarter of the width from the wall; mean over the last third of the time. Walls are
-half-way bounce-back, the body is free with implicit coupling, and the greatest speed is about 0.05
-nodes per step. The load is the weight minus the buoyancy of the exact disc. The peak Reynolds
-numbers of the box use the density of the disc, ρ_s v d / μ. With that of the fluid, the published
-17.2 would imply a drag coefficient of 2.0 between walls 8 d apart, less than that of an unbounded
-cylinder (2.00–2.09 at Re = 20); no source available to us states which density is used. In the
-channel the Reynolds number is v d / ν, which is consistent with its drag coefficient.
+half-way bounce-back, the body is free, its skin the immersed boundary (implicit coupling) or
+bounce-back, and the greatest speed is about 0.05 nodes per step. The load is the weight minus the
+buoyancy of the exact disc. The peak Reynolds numbers of the box use the density of the disc, ρ_s v
+d / μ. With that of the fluid, the published 17.2 would imply a drag coefficient of 2.0 between
+walls 8 d apart, less than that of an unbounded cylinder (2.00–2.09 at Re = 20); no source available
+to us states which density is used. In the channel the Reynolds number is v d / ν, which is
+consistent with its drag coefficient.
 """
 
 from collections.abc import Iterator
@@ -22,11 +23,16 @@ from experiments.validation.case import Case, Check, Job, Result, Runs, as_range
 from experiments.validation.plots import GREY
 from experiments.validation.wake import make_even, start_flow
 from fishrl.physics import Boundaries, Cylinder, FlowConfig, Free, NoSlip
+from fishrl.physics.flow import Coupling
 from fishrl.programs.figures.style import COLOURS
 
 NUM_SAMPLES = 300
 SPEED = 0.05
-INSET = 0.45  # nodes, the bodies' default
+SKINS: dict[str, dict[str, Any]] = {
+    "": {"inset": 0.0},
+    ", markers 0.45 nodes inside": {"inset": 0.45},  # the bodies' default
+    ", bounce-back": {"coupling": "bounce-back"},
+}
 SIZES = (16, 24, 32)
 TOLERANCE = 0.04
 
@@ -61,7 +67,9 @@ TARGETS: dict[str, tuple[str, str, float, Any, str]] = {
 }
 
 
-def settle(*, experiment: str, nodes: int, inset: float = 0.0) -> Result:
+def settle(
+    *, experiment: str, nodes: int, inset: float = 0.0, coupling: str = "implicit"
+) -> Result:
     """Let a disc, ``nodes`` wide, sink from rest in a box with walls all round.
 
     Returns ``time`` and ``velocity`` in the experiment's units, the largest v d / nu as
@@ -70,13 +78,15 @@ def settle(*, experiment: str, nodes: int, inset: float = 0.0) -> Result:
     case = EXPERIMENTS[experiment]
     space = case.diameter / nodes
     time = space * SPEED / case.top_speed
-    density = case.density_ratio
-    body = Cylinder(diameter=nodes, density_ratio=density, inset=inset, motion=Free())
+    density, how = case.density_ratio, Coupling(coupling)
+    settings = {"inset": inset} | how.body_settings
+    body = Cylinder(diameter=nodes, density_ratio=density, motion=Free(), **settings)
     config = FlowConfig(
         width=round(case.width / space),
         height=round(case.height / space),
         tau=3.0 * case.viscosity * time / space**2 + 0.5,
         bodies=(body,),
+        coupling=how,
         boundaries=Boundaries(left=NoSlip(), right=NoSlip(), bottom=NoSlip(), top=NoSlip()),
     )
     solver = start_flow(config, [c / space - 0.5 for c in case.start])
@@ -105,23 +115,22 @@ def settle(*, experiment: str, nodes: int, inset: float = 0.0) -> Result:
 JOBS = [
     Job(
         settle,
-        {"experiment": experiment, "nodes": nodes, "inset": inset},
+        {"experiment": experiment, "nodes": nodes, **skin},
         cost=nodes**3 * (10.0 * 4 * 80 * 80 if experiment == "channel" else 8 * 24 * 400),
-        is_quick=experiment != "channel" and nodes == SIZES[0] and not inset,
+        is_quick=experiment != "channel" and nodes == SIZES[0] and not where,
     )
     for experiment in EXPERIMENTS
     for nodes in SIZES
-    for inset in (0.0, INSET)
+    for where, skin in SKINS.items()
 ]
 
 
 def judge(runs: Runs) -> Iterator[Check]:
-    """Check peak and mean Reynolds numbers, with markers on the surface and inside."""
+    """Check peak and mean Reynolds numbers with each skin."""
     for experiment, (quantity, key, density, *criterion) in TARGETS.items():
-        for inset in (0.0, INSET):
-            numbers = runs.read(key, "nodes", experiment=experiment, inset=inset)
+        for where, skin in SKINS.items():
+            numbers = runs.read(key, "nodes", experiment=experiment, **skin)
             values = {nodes: density * number for nodes, number in numbers.items()}
-            where = f", markers {inset} nodes inside" if inset else ""
             name = f"{experiment}: {quantity}{where}"
             if values:
                 yield check_refined("d", name, values, *criterion, TOLERANCE)
@@ -133,13 +142,12 @@ def draw(figure: Figure, runs: Runs) -> None:
         quantity, _, density, reference, _ = TARGETS[name]
         scale = -density * case.diameter / case.viscosity
         clock = sqrt(case.gravity / case.diameter)
-        for inset, line in ((0.0, "-"), (INSET, "--")):
-            found = runs.by("nodes", experiment=name, inset=inset)
+        for (where, skin), line in zip(SKINS.items(), ("-", "--", ":"), strict=True):
+            found = runs.by("nodes", experiment=name, **skin)
             for (nodes, run), colour in zip(found.items(), COLOURS, strict=False):
                 time = [clock * t for t in run["time"]]
                 reynolds = [scale * v for v in run["velocity"]]
-                label = f"d = {nodes}" + (f", inset {inset}" if inset else "")
-                axes.plot(time, reynolds, line, color=colour, label=label)
+                axes.plot(time, reynolds, line, color=colour, label=f"d = {nodes}{where}")
         low, high = as_range(reference)
         axes.axhspan(low, high, color=GREY, alpha=0.3)
         axes.axhline(high, color=GREY, linewidth=0.8, label="reference")
