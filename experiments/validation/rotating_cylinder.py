@@ -24,9 +24,9 @@ KANG = "Kang, Choi & Lee 1999, Phys. Fluids 11, 3312"
 REFERENCES = (("drag", "C_d", 1.104), ("lift", "C_l", -2.488), ("strouhal", "St", 0.1655))
 TOLERANCE = 0.02
 REASON = (
-    "both skins agree to half a percent at D = 24, and all three coefficients are too large. At D = "
-    "16 with bounce-back, a domain of 80 D takes 0.4 % off C_l and 1.5 % off C_d, half the speed "
-    "0.7 % and 0.5 %."
+    "both skins agree to half a percent at D = 24, and all three coefficients are too large. At "
+    "D = 16 with bounce-back, a domain of 80 D takes 0.4 % off C_l and 1.5 % off C_d, half the "
+    "speed 0.7 % and 0.5 %."
 )
 VIEW_D = (-3.0, 15.0, -4.0, 4.0)  # left, right, low, high
 
