@@ -231,6 +231,7 @@ def test_a_closed_terminal_ends_a_training_or_a_sweep_with_everything_saved(
     process, terminal = pty.fork()
     if process == 0:
         os.chdir(ROOT)
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the tests run under nohup
         words += ["--multirun", "seed=0,1"] if is_sweep else ["name=run"]
         os.execv(sys.executable, [sys.executable, "-m", "fishrl", "train", *words])
     while not list(tmp_path.glob("*/mark")):
