@@ -36,14 +36,15 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "setting up $(VENV) with $(PYTHON), once"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(PIP) uv
-	@echo "1/2 torch, $(TORCH_BACKEND): 0.2 GB for a CPU, several GB for a GPU"
-	@$(UV) --torch-backend=$(TORCH_BACKEND) "$(TORCH)" || $(PIP) "$(TORCH)"
-	@echo "2/2 everything else: 0.4 GB"
+	@echo "1/2 torch, $(TORCH_BACKEND): 0.8 GB on the disk for a CPU, several GB for a GPU"
+	@$(UV) --torch-backend=$(TORCH_BACKEND) "$(TORCH)" || \
+		{ echo "uv cannot reach the builds of torch: pip takes its default, on Linux that for a GPU"; $(PIP) "$(TORCH)"; }
+	@echo "2/2 everything else: 1.3 GB"
 	@$(UV) -e . || $(PIP) -e .
 	@touch $@
 
 $(DEV_STAMP): $(STAMP)
-	@echo "installing what tests, exports and sweeps need: 0.6 GB, once"
+	@echo "installing what tests, exports and sweeps need: 1.1 GB, once"
 	@$(UV) -e '.[dev]' || $(PIP) -e '.[dev]'
 	@touch $@
 

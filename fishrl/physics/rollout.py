@@ -96,9 +96,9 @@ def simulate(
 def estimate_memory(
     state: FlowState, config: FlowConfig, params: FlowParams | None = None, *, num_steps: int
 ) -> tuple[int, int]:
-    """Return the bytes that ``simulate`` keeps for the gradient, and the segment that needs least.
+    """Return the fewest bytes that ``simulate`` keeps for the gradient, and the segment for it.
 
-    It makes one step and counts what that saves.
+    It makes one step and counts what that saves; arguments are those of ``simulate``.
     """
     saved: dict[int, int] = {}
 

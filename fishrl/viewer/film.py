@@ -183,7 +183,8 @@ class _NamedArrow:
         axes.add_patch(self._shape)
 
     def show(self, frame: Frame) -> None:
-        arrow, vector = self._arrow, frame.values[self._arrow.key].float()
+        arrow = self._arrow
+        vector = frame.values.get(arrow.key, torch.zeros(2)).float()
         start = frame.values[arrow.at] if isinstance(arrow.at, str) else torch.tensor(arrow.at)
         x, y = (start / self._length).tolist()
         dx, dy = (arrow.scale * vector / self._length).tolist()

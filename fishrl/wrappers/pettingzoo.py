@@ -109,12 +109,10 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
         self._state = after
         rewards = after[AGENTS, "reward"][0, :, 0].tolist()
         ends = [bool(after[name].any()) for name in ("terminated", "truncated")]
-        told = self._observe(), self._tell()
-        agents = list(self.agents)
-        if any(ends):
-            self.agents = []
+        agents, self.agents = self.agents, [] if any(ends) else self.agents
         terminations, truncations = (dict.fromkeys(agents, end) for end in ends)
-        return told[0], dict(zip(agents, rewards, strict=True)), terminations, truncations, told[1]
+        by_agent = dict(zip(agents, rewards, strict=True))
+        return self._observe(), by_agent, terminations, truncations, self._tell()
 
     def close(self) -> None:
         """End the solver's processes, if any."""

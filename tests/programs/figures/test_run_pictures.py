@@ -47,7 +47,6 @@ def make_recording(
             "midline": outline,
             "head": nose,
             "food": torch.tensor([2.5, lane]) * length,
-            "stream": torch.zeros(2),
         }
         frames.append(Frame(time=time, values=values))
     ending = Ending(words="caught" if has_succeeded else "hit a wall", is_success=has_succeeded)
