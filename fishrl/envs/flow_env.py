@@ -58,7 +58,7 @@ class FlowEnv(EnvBase):
         num_envs: number of flows B.
         seed: seed of the starts; each start depends on seed, row and episode only.
         device: device of all tensors.
-        compile_flow: compile the flow step; otherwise it runs eagerly, about 10 times slower.
+        compile_flow: compile the flow step; otherwise it runs eagerly, about 50 times slower.
             (TorchRL reserves the keyword ``compile`` of environment classes.)
         starts: TensorDict ``[E]`` as returned by ``task.sample_starts``. Resets cycle through them,
             in order of rows within one reset. By default each start is drawn at random.

@@ -38,7 +38,7 @@ def find_compiler_problem(device_type: str) -> str | None:
     """Return why nothing can be compiled for ``device_type``, or None; logged once."""
     problem = _find_cpp_problem() if device_type == "cpu" else None
     if problem:
-        logger.warning("%s: the flow runs eagerly, about 10 times slower", problem)
+        logger.warning("%s: the flow runs eagerly, about 50 times slower", problem)
     return problem
 
 
