@@ -38,7 +38,7 @@ ARM_SETTINGS = {
     "macro_actions": (),
     "lateral_line": (
         *("task=karman_gait_direct", "recognition={classifier}"),
-        "task.observes_flow=true",
+        "task.observes=[place,drift,water_velocity,tail_beat,flow_label]",
     ),
     "ablation": ("task=karman_gait_direct",),
 }

@@ -1,5 +1,7 @@
 """Action spaces for the tail-beat frequency: macro-actions, direct choice, or a continuous one.
 
+``BendControl`` adds the bend of the body to any of them, so that a fish can turn itself.
+
 The state is the *gear*, an index into a row of frequencies. Macro-actions (as in the paper) have
 one row per flow, in which a gear has a similar effect in each flow: gear 0 drifts downstream, the
 last one swims upstream. When the flow label changes, the gear stays and the row switches.
@@ -10,9 +12,10 @@ from itertools import pairwise
 from typing import Annotated, ClassVar
 
 import torch
-from pydantic import AfterValidator, Field, NonNegativeFloat, NonNegativeInt
+from pydantic import AfterValidator, Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from torch import Tensor
 
+from fishrl.physics.bodies.motion import Bending, Commanded, Motion
 from fishrl.settings import Settings
 
 #: For the paper's three flows, from ``studies/drift_sweep``. In each row the
@@ -98,6 +101,24 @@ class FrequencyControl(Settings, ABC):
         Gears before them and flow labels are ``[B]``, actions too, ``[B, 1]`` if continuous.
         """
 
+    @property
+    def bend_bl(self) -> float:
+        """Largest bend; 0, the default, if a heading controller turns the fish."""
+        return 0.0
+
+    @property
+    def bend_rate_bl(self) -> float:
+        """Largest speed of the tail due to the bend, L / T."""
+        return 0.0
+
+    def make_motion(self, interval_T: float) -> Motion:
+        """Return what moves a fish with one decision per ``interval_T``."""
+        return Commanded()
+
+    def bend(self, action: Tensor) -> Tensor:
+        """Return the commanded bend ``[B]`` in L, float64, positive for a turn to the left."""
+        raise NotImplementedError(f"{type(self).__name__} does not bend the fish")
+
     def mask(self, gear: Tensor) -> Tensor:
         """Return the legal actions ``[B, num_actions]``, bool; by default all."""
         return torch.ones(*gear.shape, self.num_actions, dtype=torch.bool, device=gear.device)
@@ -110,7 +131,7 @@ class MacroActions(FrequencyControl):
     whole numbers interpolates between the frequencies of their rows.
 
     Args:
-        rows: tail beats per T, rising, one row per flow, all of the same length.
+        rows: tail beats per T, rising, all of the same length: one row per flow, or one for all.
     """
 
     action_names: ClassVar[tuple[str, ...]] = ("decelerate", "cruise", "accelerate")
@@ -131,8 +152,8 @@ class MacroActions(FrequencyControl):
 
     def choose(self, gear: Tensor, action: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
         """Return the shifted gear, and its frequency in the row of the flow."""
-        gear, low = gear + action - 1, flow.floor()
-        rows = torch.tensor(self.rows, dtype=torch.float64, device=gear.device)
+        gear, flow = gear + action - 1, flow.clamp(max=len(self.rows) - 1)
+        rows, low = torch.tensor(self.rows, dtype=torch.float64, device=gear.device), flow.floor()
         below, above = (rows[each.long(), gear] for each in (low, flow.ceil()))
         return gear, below + (flow - low) * (above - below)
 
@@ -196,3 +217,80 @@ class ContinuousFrequency(FrequencyControl):
     def choose(self, gear: Tensor, action: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
         """Return the gear as it is, and the action ``[B, 1]`` as the frequency ``[B]``."""
         return gear, action.squeeze(-1)
+
+
+class BendControl(FrequencyControl):
+    """Bend the body as well as choosing the tail beat; only the water turns the fish.
+
+    A discrete action is 3 b + t, with b an action of ``beat`` and t a bend to the left (0), none
+    (1) or a bend to the right (2). A continuous one is the bend in L, positive to the left, and the
+    frequency.
+
+    The bend is that of ``motion.Bending``, given as the deflection of the tail. The defaults stay
+    within what trout do: their tail-beat amplitude in a vortex street is almost three times that in
+    a uniform stream, about 0.1 L (Akanyeti & Liao 2013, J. Exp. Biol. 216, 3442), and they turn
+    within radii down to 0.18 L (Webb 1983, J. Exp. Biol. 102, 115); a bend of 0.3 L has a radius of
+    curvature of 1.7 L.
+
+    Args:
+        beat: control of the tail beat.
+        bend_bl: largest deflection of the tail, body lengths.
+        response_T: time constant with which the bend follows the command.
+    """
+
+    beat: FrequencyControl = MacroActions()
+    bend_bl: Annotated[float, Field(gt=0, le=0.5)] = 0.3
+    response_T: PositiveFloat = 0.25
+
+    @property
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """Those of ``beat``."""
+        return self.beat.rows
+
+    @property
+    def num_flows(self) -> int | None:
+        """As of ``beat``."""
+        return self.beat.num_flows
+
+    @property
+    def start_gear(self) -> int:
+        """As of ``beat``."""
+        return self.beat.start_gear
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Each action of ``beat`` with each bend, or the bend and the number of ``beat``."""
+        if self.action_bounds is not None:
+            return (f"bend, ±{self.bend_bl:g} L", *self.beat.action_names)
+        turns = ("left", "straight", "right")
+        return tuple(f"{beat}, {turn}" for beat in self.beat.action_names for turn in turns)
+
+    @property
+    def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
+        """The largest bends and the range of ``beat``, if that is continuous."""
+        beat = self.beat.action_bounds
+        return None if beat is None else ((-self.bend_bl, self.bend_bl), *beat)
+
+    @property
+    def bend_rate_bl(self) -> float:
+        """That from one side to the other."""
+        return 2.0 * self.bend_bl / self.response_T
+
+    def make_motion(self, interval_T: float) -> Motion:
+        """Return the motion of a free fish that bends."""
+        return Bending(response=interval_T / self.response_T)
+
+    def bend(self, action: Tensor) -> Tensor:
+        """Return the bend."""
+        if self.action_bounds is not None:
+            return action[:, 0]
+        return self.bend_bl * (1.0 - (action % 3).double())
+
+    def choose(self, gear: Tensor, action: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what ``beat`` chooses."""
+        own = action // 3 if self.action_bounds is None else action[:, 1:]
+        return self.beat.choose(gear, own, flow)
+
+    def mask(self, gear: Tensor) -> Tensor:
+        """Return that of ``beat``, the same for each bend."""
+        return self.beat.mask(gear).repeat_interleave(3, -1)

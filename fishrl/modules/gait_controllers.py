@@ -1,9 +1,9 @@
-"""Hand-crafted controllers that hold station by the tail-beat frequency alone.
+"""Hand-crafted controllers that hold station by the tail-beat frequency, and by the bend.
 
-They read the same TensorDict as a learned policy: ``observation`` ``[B, n]``, whose first four
-numbers are x and y of the nose behind the obstacle and their change since the last decision, in
-body lengths. A ``FrequencyController`` commands a frequency (beats per T); ``GaitPolicy`` takes the
-action that comes nearest to it.
+They read what the task reports, whether or not a learned policy observes it: ``place`` ``[B, 2]``,
+x and y of the nose behind the obstacle, and ``drift`` ``[B, 2]``, its change since the last
+decision, in body lengths. A ``FrequencyController`` commands a frequency (beats per T);
+``GaitPolicy`` takes the action that comes nearest to it.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ class FixedFrequency:
 
 def bang_bang(tensordict: TensorDictBase, flow: Tensor) -> Tensor:
     """Command infinity downstream of the station, x > ``STATION_BL``, and 0 upstream of it."""
-    is_behind = tensordict["observation"][..., 0] > STATION_BL
+    is_behind = tensordict["place"][..., 0] > STATION_BL
     return torch.where(is_behind, torch.inf, 0.0).double()
 
 
@@ -71,8 +71,8 @@ class PID:
 
     def __call__(self, tensordict: TensorDictBase, flow: Tensor) -> Tensor:
         """Return the frequency; ``is_init`` resets the sum."""
-        observation = tensordict["observation"]
-        offset, change = observation[..., 0] - self.station_bl, observation[..., 2]
+        offset = tensordict["place"][..., 0].float() - self.station_bl
+        change = tensordict["drift"][..., 0].float()
         is_new = tensordict["is_init"].reshape(offset.shape)
         before = self._sum if self._sum.shape == offset.shape else torch.zeros_like(offset)
         total = offset + torch.where(is_new, torch.zeros_like(offset), before)
@@ -108,7 +108,7 @@ class GaitPolicy(TensorDictModuleBase):
         super().__init__()
         self.controller, self.is_direct, self.flow_key = controller, is_direct, flow_key
         self.is_continuous = is_continuous
-        self.in_keys = ["observation", "is_init", "gear", flow_key]
+        self.in_keys = ["place", "drift", "is_init", "gear", flow_key]
         self.out_keys = ["action"]
         self.rows = torch.tensor(rows, dtype=torch.float64)
 

@@ -1,5 +1,6 @@
 """Kármán gait without a flow: starts, gears, observation, reward, ends."""
 
+from dataclasses import replace
 from math import pi
 from typing import Any
 
@@ -116,14 +117,46 @@ def test_observation_is_place_displacement_velocity_and_frequency() -> None:
     assert second[2] == pytest.approx(-0.4, abs=0.01)  # it glides 0.4 L in one beat of 1 / T
 
 
-def test_observation_may_repeat_the_frequency_and_omit_the_velocity() -> None:
-    seen, repeated, blind = (
-        act(begin(**options)[0], ACCELERATE)["observation"][0]
-        for options in ({}, {"repeats_frequency": True}, {"observes_velocity": False})
-    )
-    assert seen[4:6].abs().max() > 0.0
-    torch.testing.assert_close(repeated, torch.cat((seen, seen[[6, 6]])))
-    torch.testing.assert_close(blind, seen[[0, 1, 2, 3, 6]])
+def test_any_subset_of_senses_is_observed_in_its_order() -> None:
+    sizes = {"place": 2, "drift": 2, "heading": 1, "own_motion": 5, "tail_beat": 1}
+    sizes |= {"water_velocity": 2, "lateral_line": 2 * 5 * 4, "flow_label": 0}
+
+    env, _ = begin()
+    act(env, ACCELERATE)
+
+    def see(names: list[str]) -> torch.Tensor:
+        task = replace(env.task, observes=names)
+        assert task.n_obs == sum(sizes[name] for name in names)
+        return task.observe(env.now)[0]
+
+    alone = {name: see([name]) for name in sizes if sizes[name]}
+    assert all(part.any() for part in alone.values())
+    alone["flow_label"] = torch.zeros(0)
+    generator = torch.Generator().manual_seed(0)
+    for num in range(1, 8):
+        names = [[*sizes][i] for i in torch.randint(len(sizes), (num,), generator=generator)]
+        if any(sizes[name] for name in names):
+            assert torch.equal(see(names), torch.cat([alone[name] for name in names]))
+
+
+def test_default_observation_is_place_drift_water_and_tail_beat() -> None:
+    """Policies of the zoo were trained with it."""
+    env, _ = begin()
+    seen = act(env, ACCELERATE)["observation"][0]
+    own = [env.now[name][0] for name in ("place", "drift")]
+    own += [env.now["velocity"][0].mean(0), env.now["frequency"][:1]]
+    assert torch.equal(seen, torch.cat([part.float() for part in own]))
+    assert env.task.senses == ("place", "drift", "velocity at the lateral line", "tail beat")
+
+
+def test_lateral_line_is_observed_with_its_change_since_the_last_decision() -> None:
+    env, _ = begin(observes=("lateral_line",))
+    before = act(env, CRUISE)["lateral_line"][0, -1].flatten()
+    after = act(env, CRUISE)
+    latest = after["lateral_line"][0, -1].flatten()
+    torch.testing.assert_close(after["observation"][0], torch.cat((latest, latest - before)))
+    env, start = begin(observes=("lateral_line",))
+    assert not start["observation"][0, 20:].any()  # there is no earlier one
 
 
 @pytest.mark.parametrize(
@@ -255,6 +288,7 @@ def test_free_stream_has_neither_disc_nor_wake() -> None:
     [
         ({"start_flows": ()}, r"start_flows = \(\): give one or more of the indices 0 to 2"),
         ({"stream": Stream(speeds_bl=(1.0,)), "start_flows": (0,)}, "control has rows for 3 flows"),
+        ({"observes": ("flow_label",)}, "observes = .*: name a sense other than flow_label"),
         ({"start_x_bl": (0.3, 1.0)}, r"nose at \(0.30, -0.10\) L from the disc, is in the danger"),
         ({"steering": PolicySteering()}, "decisions_per_T = 4, but the control interval is 1 T: g"),
     ],

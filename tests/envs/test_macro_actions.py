@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from fishrl.envs.macro_actions import (
+    BendControl,
     ContinuousFrequency,
     DirectFrequencies,
     MacroActions,
@@ -38,6 +39,42 @@ def test_continuous_action_is_the_frequency() -> None:
     after, frequency = control.choose(gear, action, flow)
     assert (after == gear).all() and torch.equal(frequency, action[:, 0])
     assert control.action_bounds == ((0.5, 2.0),) and control.num_actions == 1
+
+
+def test_one_row_serves_every_flow() -> None:
+    control, gear = MacroActions(rows=ROWS[:1]), torch.tensor([1, 1])
+    _, frequency = control.choose(gear, torch.tensor([2, 2]), torch.tensor([0.0, 2.0]))
+    assert frequency.tolist() == [1.5, 1.5]
+
+
+def test_discrete_bends_combine_with_every_action_of_the_beat() -> None:
+    control, gear = BendControl(beat=MACRO, bend_bl=0.2), torch.tensor([0, 1, 3])
+    assert control.num_actions == len(control.action_names) == 9
+    assert control.action_names[5] == "cruise, right"
+    flow = torch.tensor([0, 1, 2])
+    assert control.mask(gear).tolist() == [
+        [can] * 3 + [True] * 3 + [may] * 3 for can, may in ((0, 1), (1, 1), (1, 0))
+    ]
+    for action in range(9):
+        beat, turn = divmod(action, 3)
+        actions = torch.full((3,), action)
+        inside = gear.clamp(1, 2)  # where all are legal
+        for mine, its in zip(
+            control.choose(inside, actions, flow),
+            MACRO.choose(inside, torch.full((3,), beat), flow),
+            strict=True,
+        ):
+            assert torch.equal(mine, its)
+        assert control.bend(actions).tolist() == pytest.approx([0.2 * (1 - turn)] * 3)
+
+
+def test_continuous_bend_precedes_the_frequency() -> None:
+    beat = ContinuousFrequency(frequency_range=(0.5, 2.0))
+    control = BendControl(beat=beat, bend_bl=0.2)
+    assert control.action_bounds == ((-0.2, 0.2), (0.5, 2.0)) and len(control.action_names) == 2
+    action = torch.tensor([[0.1, 0.7]], dtype=torch.float64)
+    _, frequency = control.choose(torch.tensor([0]), action, torch.tensor([0]))
+    assert control.bend(action).tolist() == [0.1] and frequency.tolist() == [0.7]
 
 
 @pytest.mark.parametrize(

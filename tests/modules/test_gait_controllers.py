@@ -14,11 +14,12 @@ def see(
 ) -> TensorDict:
     """Return what fish at distances ``x`` see."""
     num = len(x)
-    observation = torch.zeros(num, 7)
-    observation[:, 0], observation[:, 2] = torch.tensor(x), change
+    place, drift = torch.zeros(2, num, 2, dtype=torch.float64)
+    place[:, 0], drift[:, 0] = torch.tensor(x), change
     return TensorDict(
         {
-            "observation": observation,
+            "place": place,
+            "drift": drift,
             "action_mask": torch.ones(num, 3, dtype=torch.bool),
             "gear": torch.full((num, 1), gear),
             "flow_index": torch.full((num, 1), flow),

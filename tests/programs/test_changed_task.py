@@ -22,7 +22,7 @@ from tests.programs.test_gait import SETTINGS
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
-OWN = [*SETTINGS, "task.stream.speeds_bl=[1.0,1.2,1.4]", "task.observes_flow=true"]
+OWN = [*SETTINGS, "task.stream.speeds_bl=[1.0,1.2,1.4]", "task.observes=[place,flow_label]"]
 
 
 def store(folder: Path, *left_out: str) -> str:

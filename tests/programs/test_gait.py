@@ -83,7 +83,7 @@ def test_trained_gaits_are_tried_in_every_flow(trained: Path, tmp_path: Path) ->
     figures = ("survival", "paths", "decisions", "work")
     assert {"transfer.md", "transfer.json", *(f"{name}.png" for name in figures)} <= written
     assert name_arm(make_task(), None) == "macro-actions alone"
-    direct = make_task(control=DirectFrequencies(frequencies=(0.5, 1.0)), observes_flow=False)
+    direct = make_task(control=DirectFrequencies(frequencies=(0.5, 1.0)), observes=("place",))
     assert name_arm(direct, "machine.pt") == "ablation"
     shutil.copytree(trained / "oracle", tmp_path / "oracle")
     for file in (tmp_path / "oracle").rglob("*-actor/*"):

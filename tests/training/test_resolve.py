@@ -54,7 +54,7 @@ def test_a_run_with_invalid_settings_leaves_no_folder(
 
 
 def test_labels_lengthen_the_observation_of_the_policy() -> None:
-    task = KarmanGait(observes_flow=True)
+    task = KarmanGait(observes=("place", "flow_label"))
     without, with_labels = (
         resolve(Plan(task=task, recognition=choice)) for choice in (None, "oracle")
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from math import pi
 from typing import Any, ClassVar, final
 
@@ -9,29 +10,31 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.extensions import HasFlowLabels, HasHistory, HasScene
+from fishrl.envs.extensions import HasHistory, HasScene
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import FrequencyControl, MacroActions
 from fishrl.envs.scene import Panel, Scene, Series
+from fishrl.envs.senses import HasSenses, SenseName, measure_own_motion
 from fishrl.envs.sensors import compute_clearance, wrap_angle
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, Steering
 from fishrl.envs.streams import AbstractStreamTask, Stream
 from fishrl.envs.task import Command
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
+from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.fast.solver import InPlaceSolver
 
 
 @final
-class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
+class KarmanGait(HasSenses, AbstractStreamTask, HasHistory, HasScene):
     """Hold station behind a half disc, or in a free stream, by choosing the tail-beat frequency.
 
     Positions are of the nose relative to the middle of the disc's flat side, x downstream, in body
-    lengths. Observation: x, y, their change since the last decision, the velocity (x, y) of
-    the water at the lateral line (mean over neuromasts and interval, L / T) and the frequency in
-    beats per T (0 before the first beat). ``control`` defines the actions; ``steering`` turns the
-    fish. An episode starts at a random phase of a developed wake and terminates in the danger area
-    or at an edge.
+    lengths. By default the policy observes x, y, their change since the last decision (``drift``),
+    the frequency in beats per T (0 before the first beat) and the velocity (x, y) of the water at
+    the lateral line, mean over neuromasts and interval, L / T. ``control`` defines the actions;
+    ``steering`` turns the fish, or with a ``BendControl`` the water alone. An episode starts at a
+    random phase of a developed wake and terminates in the danger area or at an edge.
 
     Also reported: ``lateral_line``, the true ``flow_index`` (of a changing stream the nearest known
     speed, and ``stream_speed`` in L / T), gear, frequency, heading, angle of attack (from upstream,
@@ -43,16 +46,14 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
         control: maps actions to tail-beat frequencies; rows in the order of the flows.
         reads_flow_class: select the row by ``flow_class``, which a transform writes, instead of by
             the true flow.
-        observes_flow: append the flow probabilities to the observation, see
-            ``transforms.FlowLabelTransform``.
-        steering: heading controller.
+        observes: what the policy observes, in this order, see ``senses.list_senses``; the label
+            is that of a ``transforms.FlowLabelTransform``. A name may be repeated.
+        steering: heading controller; not used if actions bend the fish.
         lateral_line: the neuromasts.
         start_x_bl: range of the initial nose position.
         start_y_bl: the same along y.
         safe_area: area outside which episodes terminate.
         reward_terms: weights of the reward.
-        observes_velocity: observe the velocity at the lateral line.
-        repeats_frequency: observe the frequency three times, as the paper does.
     """
 
     num_draws: ClassVar[int] = 5
@@ -69,15 +70,16 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
     start_flows: tuple[int, ...] = (0, 1, 2)
     control: FrequencyControl = MacroActions()
     reads_flow_class: bool = False
-    observes_flow: bool = True
+    observes: tuple[SenseName, ...] = (
+        *("place", "drift", "water_velocity", "tail_beat"),
+        "flow_label",
+    )
     steering: Steering = PIDSteering()
     lateral_line: LateralLine = LateralLine()
     start_x_bl: tuple[float, float] = (1.5, 2.0)
     start_y_bl: tuple[float, float] = (-0.1, 0.1)
     safe_area: SafeArea = SafeArea()
     reward_terms: StationReward = StationReward()
-    observes_velocity: bool = True
-    repeats_frequency: bool = False
 
     def __post_init__(self) -> None:
         num = len(self.stream.speeds_bl)
@@ -85,10 +87,11 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
             raise ValueError(
                 f"start_flows = {self.start_flows}: give one or more of the indices 0 to {num - 1}"
             )
-        if self.control.num_flows not in (None, num):
+        self.check_senses()
+        if self.control.num_flows not in (None, 1, num):
             raise ValueError(
                 f"control has rows for {self.control.num_flows} flows, but stream.speeds_bl has "
-                f"{num}: give one row for each"
+                f"{num}: give one row for each, or one for all"
             )
         super().__post_init__()
         per_T, wanted = max(1, round(1.0 / self.interval_T)), self.steering.decisions_per_T
@@ -100,11 +103,6 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
         corners = torch.cartesian_prod(torch.tensor([0.0, 1.0]), torch.tensor([0.0, 1.0])).double()
         others = torch.zeros(4, self.num_draws - 2, dtype=torch.float64)
         self.check_starts(self.starts_from(torch.cat((corners, others), 1)))
-
-    @property
-    def n_obs(self) -> int:
-        """Length of one observation."""
-        return 4 + 2 * self.observes_velocity + (3 if self.repeats_frequency else 1)
 
     @property
     def num_actions(self) -> int:
@@ -132,6 +130,16 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
         return self.control.max_frequency
 
     @property
+    def swimming_speed(self) -> float:
+        """Bound on the speed of a marker, with a bend from one side to the other."""
+        return super().swimming_speed + self.control.bend_rate_bl * self.scales.reference_speed
+
+    @cached_property
+    def fish(self) -> Fish:
+        """The fish, moved as ``control`` says."""
+        return replace(super().fish, motion=self.control.make_motion(self.control_interval_T))
+
+    @property
     def flow_labels(self) -> list[dict[str, Any]]:
         """Parameters of each flow, in the order of ``flow_index``."""
         common = {
@@ -140,11 +148,6 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
             "domain_bl": list(self.domain_bl),
         }
         return [{**label, **common} for label in self.stream.labels]
-
-    @property
-    def num_label_inputs(self) -> int:
-        """One per flow, or none."""
-        return len(self.flow_labels) if self.observes_flow else 0
 
     def read_flow_labels(self) -> "KarmanGait":
         """Return the task whose macro actions use the row of the labelled flow."""
@@ -183,12 +186,14 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
         self.safe_area.check_starts(self.locate(starts["head"]))
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Choose the frequency and turn as ``steering`` commands."""
+        """Choose the frequency, and bend or turn as ``steering`` commands."""
         flow, num = self._name_flow(before), len(self.stream.speeds_bl)
         if not ((flow >= 0) & (flow < num)).all():
             raise ValueError(f"flow_class = {flow.tolist()}: allowed is 0 to {num - 1}")
         _, frequency = self.control.choose(before["gear"], action, flow)
-        return Command(self.steering.turn(before["steering"]), frequency / self.scales.period)
+        is_bending = self.control.bend_bl > 0.0
+        turn = self.control.bend(action) if is_bending else self.steering.turn(before["steering"])
+        return Command(turn, frequency / self.scales.period)
 
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Measure position, heading, distance from the edges and the work done so far."""
@@ -204,6 +209,7 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
             "positive_work": body.positive_work / unit,
             "lateral_work": body.lateral_work / unit,
             "torque_work": body.torque_work / unit,
+            **measure_own_motion(body, self.scales.period),
             **self.measure_stream(solver, starts["flow_index"]),
         }
         return TensorDict(now, starts.batch_size, device=starts.device)
@@ -224,9 +230,10 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
         return {
             "gear": torch.full_like(now["flow_index"], self.control.start_gear),
             "frequency": torch.zeros_like(now["heading"]),
-            "moved": torch.zeros_like(now["place"]),
+            "drift": torch.zeros_like(now["place"]),
             "steering": steering_input[:, None].expand(-1, self.steering.num_stacked, -1),
             "lateral_line": now["sensed"],
+            "lateral_line_before": now["sensed"][:, -1],
             "velocity": now["sensed_velocity"],
         }
 
@@ -239,26 +246,26 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
         return {
             "gear": gear,
             "frequency": frequency,
-            "moved": now["place"] - before["place"],
+            "drift": now["place"] - before["place"],
             "steering": torch.cat(
                 (before["steering"][:, 1:], self._observe_steering(now)[:, None]), 1
             ),
             "lateral_line": line.delay_series(before["sensed"], now["sensed"]),
+            "lateral_line_before": before["lateral_line"][:, -1],
             "velocity": line.delay_series(before["sensed_velocity"], now["sensed_velocity"]),
         }
 
-    def observe(self, now: TensorDictBase) -> Tensor:
-        """Return position, displacement, mean velocity at the lateral line and frequency."""
-        frequency = now["frequency"][:, None].expand(-1, 3 if self.repeats_frequency else 1)
-        velocity = (now["velocity"].mean(1).double(),) if self.observes_velocity else ()
-        return torch.cat((now["place"], now["moved"], *velocity, frequency), -1).float()
-
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Return the reward of the interval, see ``stations.StationReward``."""
+        """Return the reward of the interval, see ``stations.StationReward``.
+
+        A fish that bends pays for pushing work: net work near 0 needs muscles that keep whatever
+        the water does on them.
+        """
+        paid = "positive_work" if self.control.bend_bl else "work"
         margin = self.safe_area.measure_margin(now["place"])
         return self.reward_terms.compute(
-            drift=now["moved"][:, 0],
-            work=now["work"] - before["work"],
+            drift=now["drift"][:, 0],
+            work=now[paid] - before[paid],
             depth=(self.safe_area.rim_bl - margin).clamp_min(0.0),
             is_in_danger=self.is_terminated(now),
         )
@@ -275,8 +282,8 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return lateral line, true flow and diagnostics."""
-        names = ["flow_index", "gear", "frequency", "heading", "work", "positive_work"]
-        names += ["lateral_work", "torque_work", "lateral_line"]
+        names = ["flow_index", "gear", "frequency", "place", "drift", "facing", "yaw_rate"]
+        names += ["heading", "work", "positive_work", "lateral_work", "torque_work", "lateral_line"]
         if self.stream.changes is not None:
             names.append("stream_speed")
         reported: dict[str, Tensor] = {name: now[name] for name in names}
@@ -291,12 +298,6 @@ class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
     def title(self) -> str:
         """Name of the task."""
         return "Kármán gait"
-
-    @property
-    def senses(self) -> tuple[str, ...]:
-        """Place and drift, the lateral line and the tail beat."""
-        velocity = ("velocity at the lateral line",) if self.observes_velocity else ()
-        return ("place", "drift", *velocity, "tail beat")
 
     def name_endings(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Tell on which side the fish has left the safe area."""

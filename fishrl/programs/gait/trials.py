@@ -145,7 +145,7 @@ def name_arm(task: KarmanGait, recognition: Any) -> str:
     if isinstance(task.control, ContinuousFrequency):
         return "continuous frequency"
     if isinstance(task.control, DirectFrequencies):
-        return "lateral line alone" if recognition and task.observes_flow else "ablation"
+        return "lateral line alone" if recognition and task.num_label_inputs else "ablation"
     return {None: "macro-actions alone", ORACLE: "oracle"}.get(recognition, "both modules")
 
 

@@ -87,7 +87,7 @@ def test_trial_is_recorded_again_only_if_its_inputs_change(
 
     assert count(trial) == 0
     assert count(replace(trial, identity="other weights")) == 1
-    assert count(make_trial("bang_bang", make_task(repeats_frequency=True), periods=BRIEF)) == 2
+    assert count(make_trial("bang_bang", make_task(observes=("place",)), periods=BRIEF)) == 2
     assert count(trial, episodes=2) == 3
     monkeypatch.setattr(trials, "hash_sources", lambda *_: "other code")
     assert count(trial) == 4
