@@ -21,7 +21,8 @@ CLOCKWISE, KEEP, COUNTER_CLOCKWISE = 0, 1, 2
 NUM_FEATURES = 4
 #: Cruising speed of a fish, body lengths per tail beat, and radius of its tightest turn.
 SWIM_SPEED_BL, TURN_RADIUS_BL = 0.4, 1.7
-HORIZON_T = 40.0
+#: Time between the places of the food that a task foresees.
+LEAD_T = 0.25
 
 
 class RandomPolicy(TensorDictModuleBase):
@@ -107,64 +108,38 @@ class PursuitPolicy(_TurningPolicy):
 
 
 class InterceptPolicy(_TurningPolicy):
-    """Steer to the earliest point at which the fish can meet the food, whose route is known.
+    """Steer to the earliest point at which the fish can meet the food, whose path is known.
 
-    Heading follows from each observation (direction of the food minus bearing error). The
-    controller steps through the coming ``HORIZON_T``, in which it knows when the food starts and
-    reverses, and picks the earliest meeting point that a turn of radius ``TURN_RADIUS_BL`` followed
-    by a straight line reaches in time (Dubins 1957: shortest paths of bounded curvature, free final
-    heading). Points inside the turning circle are out of reach, so a later one is chosen.
+    Heading follows from each observation (direction of the food minus bearing error), the path from
+    ``food_ahead``, which the task reports: the food's places ``[B, K, 2]`` from now on, every
+    ``LEAD_T``, in body lengths. The controller picks the earliest meeting point that a turn of
+    radius ``TURN_RADIUS_BL`` followed by a straight line reaches in time (Dubins 1957: shortest
+    paths of bounded curvature, free final heading). Points inside the turning circle are out of
+    reach, so a later one is chosen.
 
     Args:
-        food_speed_bl: speed of the moving food in body lengths per tail beat.
-        food_limits_bl: lowest and highest y of the food.
-        food_start_bl: y of the food at rest.
-        food_still_T: tail beats for which the food stays at rest after the start.
-        food_direction: +1 if the food first moves up, -1 down.
         turn: see ``PursuitPolicy``.
         is_continuous: see ``PursuitPolicy``.
     """
 
-    def __init__(
-        self,
-        *,
-        food_speed_bl: float,
-        food_limits_bl: tuple[float, float],
-        food_start_bl: float,
-        food_still_T: float,
-        food_direction: int,
-        turn: float = math.radians(15.0),
-        is_continuous: bool = False,
-    ) -> None:
+    def __init__(self, *, turn: float = math.radians(15.0), is_continuous: bool = False) -> None:
         super().__init__(turn=turn, is_continuous=is_continuous)
-        self.in_keys.append("step_count")
-        self.food_speed_bl, self.food_still_T = food_speed_bl, food_still_T
-        self.food_limits_bl, self.food_start_bl = food_limits_bl, food_start_bl
-        self.food_direction = food_direction
+        self.in_keys.append("food_ahead")
 
     def aim(self, tensordict: TensorDictBase) -> Tensor:
         """Return the turn of the shortest path to the meeting point."""
-        stack = tensordict["observation_stack"].unflatten(-1, (-1, NUM_FEATURES))
-        x, y = stack[..., -1, :1], stack[..., -1, 1:2]
-        heading = torch.atan2(y, x) - stack[..., -1, 3:]
-        lead = torch.arange(0.0, HORIZON_T, 0.25, device=stack.device)
-        now = tensordict["step_count"].to(stack.dtype)
-        rise = self._food_height(now + lead) - self._food_height(now)
-        y, cos, sin = y + rise, heading.cos(), heading.sin()  # then, in the frame of the nose now
+        x, y, _, error = tensordict["observation_stack"][..., -NUM_FEATURES:, None].unbind(-2)
+        heading = torch.atan2(y, x) - error
+        path = tensordict["food_ahead"]
+        lead = LEAD_T * torch.arange(path.shape[-2], device=path.device)
+        move_x, move_y = (path - path[..., :1, :]).unbind(-1)
+        x, y, cos, sin = x + move_x, y + move_y, heading.cos(), heading.sin()
+        # From here on in the frame of the nose now.
         length, angle = _shortest_path(cos * x + sin * y, cos * y - sin * x, TURN_RADIUS_BL)
         is_in_time = length <= SWIM_SPEED_BL * lead
         # Earliest meeting point; where there is none, the one missed by the least time.
-        delay = torch.where(is_in_time, lead - HORIZON_T, length / SWIM_SPEED_BL - lead)
+        delay = torch.where(is_in_time, lead - lead[-1], length / SWIM_SPEED_BL - lead)
         return angle.gather(-1, delay.argmin(-1, keepdim=True)).squeeze(-1)
-
-    def _food_height(self, time: Tensor) -> Tensor:
-        """Return y of the food at ``time`` (in T): at rest, then oscillating between its limits."""
-        low, high = self.food_limits_bl
-        travelled = self.food_speed_bl * (time - self.food_still_T).clamp_min(0.0)
-        span, offset = high - low, self.food_start_bl - low
-        start = offset if self.food_direction > 0 else 2.0 * span - offset
-        folded = (start + travelled) % (2.0 * span)
-        return low + torch.minimum(folded, 2.0 * span - folded)
 
 
 def _shortest_path(ahead: Tensor, left: Tensor, radius: float) -> tuple[Tensor, Tensor]:

@@ -119,23 +119,11 @@ def make_pursuit(task: Any, seed: int) -> PursuitPolicy:
     return PursuitPolicy(turn=math.radians(task.turn_degrees), is_continuous=is_continuous)
 
 
-def _has_known_route(task: Any) -> bool:
-    """Tell whether the food's place follows from the number of decisions, each of 1 T."""
-    return task.food_direction != "random" and math.isclose(task.interval_T, 1.0, rel_tol=0.01)
-
-
-@baseline("intercept", Predation, fits=_has_known_route)
+@baseline("intercept", Predation)
 def make_intercept(task: Any, seed: int) -> InterceptPolicy:
-    """Make interception of the food."""
-    return InterceptPolicy(
-        turn=math.radians(task.turn_degrees),
-        is_continuous=task.action_bounds is not None,
-        food_speed_bl=task.food_speed_bl,
-        food_limits_bl=task.food_limits_bl,
-        food_start_bl=task.food_y_bl,
-        food_still_T=task.food_still_T,
-        food_direction={"up": 1, "down": -1}[task.food_direction],
-    )
+    """Make interception of the food, whose path it is told."""
+    is_continuous = task.action_bounds is not None
+    return InterceptPolicy(turn=math.radians(task.turn_degrees), is_continuous=is_continuous)
 
 
 @baseline("keep_place", Follower)

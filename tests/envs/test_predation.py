@@ -1,6 +1,7 @@
 """Predation: its food, starts, rewards and ends, and the bad input it refuses."""
 
 import math
+from random import Random
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Predation
 from fishrl.envs.starts import place_fish, place_outline
+from fishrl.envs.tasks.food import LEADS_T
 from tests.envs.conftest import SMALL, act, make_flows, starts_at
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -86,6 +88,38 @@ def test_food_goes_the_given_way(direction: str, ways: set[float]) -> None:
     assert set(starts["food_direction"].tolist()) == ways
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_each_episode_draws_its_own_path(seed: int) -> None:
+    """Any of the path's numbers may have a range; the food keeps to its line, limits and speed."""
+    random = Random(seed)
+    ranges: dict[str, Any] = {
+        "food_limits_bl": random.choice([(0.5, 4.5), ((1.0, 2.0), 3.5), ((1.0, 2.0), (3.0, 4.0))]),
+        "food_tilt_degrees": random.choice([0.0, 30.0, (-40.0, 20.0)]),
+        "food_still_T": random.choice([2.0, (1.0, 3.0)]),
+        "food_speed_bl": random.choice([0.3, (0.15, 0.5)]),
+    }
+    task = Predation(**SMALL, **ranges, food_direction="random")
+    starts = task.sample_starts(200, torch.Generator().manual_seed(seed))
+    path = {}
+    for name, (low, high) in task.food_ranges.items():
+        path[name] = starts.get(name, torch.full((200,), low)).float()
+        edge = 0.1 * (high - low) + 1e-6
+        assert low - 1e-6 <= path[name].min() <= low + edge
+        assert high - edge <= path[name].max() <= high + 1e-6
+    age = torch.full((200,), 10.0 * task.scales.period)
+    ahead = task.foresee_food(starts, age)
+    later = task.locate_food(starts, age + LEADS_T[7] * task.scales.period) / task.body_length
+    torch.testing.assert_close(ahead[:, 7], later.float())
+    away = ahead - torch.tensor([task.food_x_bl, task.food_y_bl])
+    speeds, tilt = ahead.diff(dim=1).norm(dim=-1) / 0.25, path["food_tilt"].deg2rad()
+    torch.testing.assert_close(speeds.amax(1), path["food_speed"], rtol=1e-4, atol=1e-5)
+    upwards = torch.stack((-tilt.sin(), tilt.cos()), -1)[:, None]
+    height = (away * upwards).sum(-1)
+    torch.testing.assert_close(height.abs(), away.norm(dim=-1), rtol=1e-4, atol=1e-5)
+    assert (height.amax(1) <= path["food_high"] - task.food_y_bl + 1e-5).all()
+    assert (height.amin(1) >= path["food_low"] - task.food_y_bl - 1e-5).all()
+
+
 def test_first_observation_is_the_food_relative_to_the_nose(small_task: Predation) -> None:
     env = begin(small_task, starts_at((6.5, 0.5), (5.5, 4.0)))
     expected = [[-4.0, 2.0, 20**0.5, -math.atan2(2, 4)], [-3.0, -1.5, 11.25**0.5, math.atan2(1, 2)]]
@@ -158,6 +192,11 @@ def test_wall_terminates_without_a_capture(small_task: Predation) -> None:
 BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
     "limits": ({"food_limits_bl": (3.5, 1.5)}, r"lower limit <= food_y_bl <= upper limit"),
     "in reach": ({"start_x_bl": (2.0, 7.5)}, r"may start with its food in reach"),
+    "falling": ({"food_speed_bl": (0.5, 0.2)}, r"food_speed_bl = .*range from low to high"),
+    "tilt": (
+        {"food_tilt_degrees": (0.0, 80.0), "food_x_bl": 0.9},
+        r"0.985 L to the side, and leave the tank; tilt it less",
+    ),
     "outside": ({"start_x_bl": (9.9, 9.9)}, r"does not fit; widen"),
     "frequency": ({"frequency_range": (1.0, 0.5)}, r"frequency_range = .*must be rising"),
     "tau": ({"reynolds": 1e6}, r"tau = 0.50.* outside the validated range.*raise body_length"),

@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Callable
-from functools import partial
-from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDict
 
 from fishrl.modules import InterceptPolicy, PursuitPolicy, RandomPolicy
+from fishrl.modules.controllers import LEAD_T
 
 CLOCKWISE, KEEP, COUNTER_CLOCKWISE = 0, 1, 2
 TURN = math.radians(15.0)
@@ -21,9 +20,14 @@ def seen(
     heading: float,
     food_velocity: float = 0.0,
     speed: float = 0.4,
-    time: float = 20.0,
+    room: float = math.inf,
 ) -> TensorDict:
-    """What a fish that has swum straight sees of food that lies at ``food`` from its head."""
+    """What a fish that has swum straight sees of food that lies at ``food`` from its head.
+
+    The food turns round after ``room``.
+    """
+    ahead = food_velocity * LEAD_T * torch.arange(160)
+    ahead = torch.minimum(ahead, 2 * room - ahead)
     frames = []
     for age in (3, 2, 1, 0):
         x = food[0] + age * speed * math.cos(heading)
@@ -34,16 +38,10 @@ def seen(
         {
             "observation_stack": torch.tensor([frames]),
             "action_mask": torch.ones(1, 3, dtype=torch.bool),
-            "step_count": torch.tensor([[time]]),
+            "food_ahead": torch.stack((torch.zeros_like(ahead), ahead), -1)[None],
         },
         [1],
     )
-
-
-def intercept(**changes: Any) -> InterceptPolicy:
-    """Return interception of food that moves up from 2.5 L after 5 T, on a route without ends."""
-    route = {"food_limits_bl": (-50.0, 50.0), "food_start_bl": 2.5, "food_still_T": 5.0}
-    return InterceptPolicy(**{"food_speed_bl": 0.3, "food_direction": 1} | route | changes)
 
 
 def test_random_actions_are_uniform_over_legal_ones_and_repeat_with_the_seed() -> None:
@@ -64,7 +62,7 @@ def test_random_actions_are_uniform_over_legal_ones_and_repeat_with_the_seed() -
     assert numbers.abs().max() <= 1.0 and (numbers.mean(0).abs() < 0.027).all()
 
 
-@pytest.mark.parametrize("kind", [PursuitPolicy, partial(intercept, food_speed_bl=0.0)])
+@pytest.mark.parametrize("kind", [PursuitPolicy, InterceptPolicy])
 @pytest.mark.parametrize("heading", [math.pi, 0.0, 2.0, -2.5])
 @pytest.mark.parametrize("error", [0.4 * TURN, 0.6 * TURN, 3.0, -0.4 * TURN, -0.6 * TURN, -3.0])
 def test_still_food_more_than_half_a_turn_off_is_turned_towards_at_any_heading(
@@ -90,20 +88,19 @@ def test_intercept_leads_moving_food_unlike_pursuit() -> None:
         # Food dead ahead of a fish that faces -x; upwards is to its right.
         td = seen(food=(-3.0, 0.0), heading=math.pi, food_velocity=0.3 * way)
         assert PursuitPolicy()(td.clone())["action"].tolist() == [KEEP]
-        assert intercept(food_direction=way)(td)["action"].tolist() == [action]
+        assert InterceptPolicy()(td)["action"].tolist() == [action]
 
 
 def test_intercept_predicts_reversals() -> None:
-    # Food at y = 3.4 on its way up to 3.5, the fish 4 L away at the same height: when it arrives,
-    # the food is on its way down again.
-    time = 5.0 + 0.9 / 0.3
-    td = seen(food=(-4.0, 0.0), heading=math.pi, food_velocity=0.3, time=time)
-    assert intercept()(td.clone())["action"].tolist() == [CLOCKWISE]  # leads it upwards
-    assert intercept(food_limits_bl=(1.5, 3.5))(td)["action"].tolist() == [COUNTER_CLOCKWISE]
+    # The fish is 4 L away at the same height. When it arrives, food that turns round after 0.1 L
+    # is below.
+    for room, action in ((math.inf, CLOCKWISE), (0.1, COUNTER_CLOCKWISE)):
+        td = seen(food=(-4.0, 0.0), heading=math.pi, food_velocity=0.3, room=room)
+        assert InterceptPolicy()(td)["action"].tolist() == [action]
 
 
 def test_intercept_does_not_circle_food_inside_its_turning_circle() -> None:
     """Food abeam at less than the turning diameter: turning towards it would circle it for ever."""
     td = seen(food=(0.0, 1.5), heading=0.0)
     assert PursuitPolicy()(td.clone())["action"].tolist() == [COUNTER_CLOCKWISE]
-    assert intercept(food_speed_bl=0.0)(td)["action"].tolist() != [COUNTER_CLOCKWISE]
+    assert InterceptPolicy()(td)["action"].tolist() != [COUNTER_CLOCKWISE]

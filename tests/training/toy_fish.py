@@ -28,6 +28,7 @@ from torchrl.envs import (
 )
 
 from fishrl.envs import AbstractTask, Predation, make_env
+from fishrl.modules.controllers import LEAD_T
 from fishrl.physics.flow import Coupling
 
 STATE = ("position", "heading", "food", "direction", "age", "distance", "error", "start_index")
@@ -39,8 +40,7 @@ class ToyPredation:
     """What the training loop asks of a task."""
 
     n_obs, num_stacked, n_substeps, checks_per_action = 4, 4, 10, 1
-    interval_T, turn_degrees, food_limits_bl, food_y_bl = 1.0, 15.0, (1.5, 3.5), 2.5
-    food_still_T, food_direction, success = 5.0, "up", "captured"
+    interval_T, turn_degrees, success = 1.0, 15.0, "captured"
     num_fish = 1
     scales = SimpleNamespace(period=10, body_length=10)
 
@@ -90,6 +90,7 @@ class ToyFishEnv(EnvBase):
             **masked,
             diverged=flag,
             captured=flag.clone(),
+            food_ahead=Unbounded((160, 2)),
             start_index=Unbounded((), dtype=torch.int64),
         )
         self.action_spec_unbatched = (
@@ -130,10 +131,16 @@ class ToyFishEnv(EnvBase):
             mask[:, self.task.banned_action] = False
         away = self.food - self.position
         observation = torch.cat([away, distance[:, None], error[:, None]], -1)
+        ages = self.age[:, None] + LEAD_T * torch.arange(160)
+        along = (1.0 + self.task.food_speed_bl * (ages - 5.0).clamp_min(0.0)) % 4.0
+        ahead = torch.stack(
+            (torch.full_like(along, 2.5), 1.5 + torch.minimum(along, 4.0 - along)), -1
+        )
         return {
             "observation": observation,
             **({} if self.task.is_continuous else {"action_mask": mask}),
             "start_index": self.start_index.clone(),
+            "food_ahead": ahead,
             **{name: flag.unsqueeze(-1) for name, flag in flags.items()},
         }
 

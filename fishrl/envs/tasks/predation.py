@@ -5,7 +5,7 @@ from math import ceil, degrees, floor, pi, radians
 from typing import Annotated, ClassVar, Literal, final
 
 import torch
-from pydantic import Field, NonNegativeFloat, PositiveFloat
+from pydantic import Field, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
@@ -13,17 +13,16 @@ from fishrl.envs.extensions import HasScene
 from fishrl.envs.macro_actions import Rising
 from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, sense_target
-from fishrl.envs.task import AbstractTask, Command
+from fishrl.envs.task import Command
+from fishrl.envs.tasks.food import AbstractFoodTask
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
-#: Probability that the food first moves up.
-CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
 _Frequency = Annotated[float, Field(ge=0, le=10)]
 
 
-class AbstractPredation(AbstractTask, HasScene):
-    """Base of tasks with food that rests at first and then moves up and down between two limits.
+class AbstractPredation(AbstractFoodTask, HasScene):
+    """Base of tasks in which fish catch food, whose path ``AbstractFoodTask`` describes.
 
     Actions: 0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise; or two numbers, the
     turn and the tail-beat frequency, which sets the speed.
@@ -37,12 +36,6 @@ class AbstractPredation(AbstractTask, HasScene):
         start_x_bl: range of the initial nose position, in body lengths. Fish start on whole nodes
             and face -x; the range is clipped to keep them clear of the walls.
         start_y_bl: the same along y.
-        food_x_bl: x of the food, in body lengths from the left edge.
-        food_y_bl: initial y of the food.
-        food_limits_bl: lowest and highest y of the food.
-        food_still_T: periods for which the food rests.
-        food_speed_bl: speed of the food afterwards, body lengths per period.
-        food_direction: initial direction of the food: up, down or random.
         capture_radius_bl: distance from nose to food that counts as capture.
     """
 
@@ -53,12 +46,6 @@ class AbstractPredation(AbstractTask, HasScene):
     frequency_range: Annotated[tuple[_Frequency, _Frequency], Rising] = (0.5, 1.0)
     start_x_bl: tuple[float, float] = (5.0, 7.5)
     start_y_bl: tuple[float, float] = (0.25, 4.75)
-    food_x_bl: float = 2.5
-    food_y_bl: float = 2.5
-    food_limits_bl: tuple[float, float] = (1.5, 3.5)
-    food_still_T: NonNegativeFloat = 5.0
-    food_speed_bl: Annotated[float, Field(ge=0, le=100)] = 0.3
-    food_direction: Literal["up", "down", "random"] = "up"
     capture_radius_bl: PositiveFloat = 0.25
 
     def __post_init__(self) -> None:
@@ -72,15 +59,6 @@ class AbstractPredation(AbstractTask, HasScene):
                 f"{MAX_IMPOSED_SPEED} nodes per step, allowed is {degrees(self.largest_turn):.3g}; "
                 "turn less, raise the interval, or lower max_wall_speed"
             )
-        low, high = self.food_limits_bl
-        width, height = self.domain_bl
-        if not 0.0 < low <= self.food_y_bl <= high < height or low == high:
-            raise ValueError(
-                f"food_y_bl = {self.food_y_bl}, food_limits_bl = {self.food_limits_bl}: allowed is "
-                f"0 < lower limit <= food_y_bl <= upper limit < {height}, the limits not equal"
-            )
-        if not 0.0 < self.food_x_bl < width:
-            raise ValueError(f"food_x_bl = {self.food_x_bl}: must lie inside (0, {width})")
         (x_low, x_high), (y_low, y_high) = self.start_range
         if x_low > x_high or y_low > y_high:
             raise ValueError(
@@ -157,18 +135,6 @@ class AbstractPredation(AbstractTask, HasScene):
         """Distance from nose to food that counts as capture, in nodes."""
         return self.capture_radius_bl * self.body_length
 
-    def locate_food(self, starts: TensorDictBase, age: Tensor) -> Tensor:
-        """Return the food's position ``[B, 2]``, nodes, at ``age`` ``[B]`` steps since reset."""
-        low, high = self.food_limits_bl
-        span, offset = high - low, self.food_y_bl - low
-        swum = self.food_speed_bl * (age / self.scales.period - self.food_still_T).clamp(min=0.0)
-        # A periodic path of length 2 span, folded at its middle.
-        is_up = starts["food_direction"] > 0.0
-        along = torch.where(is_up, offset + swum, 2.0 * span - offset + swum)
-        along = torch.remainder(along, 2.0 * span)
-        height = low + torch.minimum(along, 2.0 * span - along)
-        return self.body_length * torch.stack((torch.full_like(height, self.food_x_bl), height), -1)
-
     @property
     def marker_speed(self) -> float:
         """Bound on the speed of a marker in nodes per step, commanded turns included."""
@@ -214,21 +180,18 @@ class AbstractPredation(AbstractTask, HasScene):
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
         """Return how long the nearest fish takes at least to a wall and to the food."""
         speed = self.marker_speed
-        food_speed = self.food_speed_bl * self.body_length / self.scales.period
+        food_speed = self.food_ranges["food_speed"][1] * self.body_length / self.scales.period
         distance = now["target"][..., 2] * self.body_length - self.capture_radius
         to_food = distance / (speed + food_speed)
         steps = torch.minimum((now["clearance"] - self.wall_margin) / speed, to_food)
         return steps.amin(1) if self.num_fish > 1 else steps
 
     def _make_starts(self, head: Tensor, chance: Tensor) -> TensorDict:
-        """Return starts that face -x, of noses ``head`` and random numbers ``chance`` ``[E]``."""
-        is_up = chance < CHANCE_UP[self.food_direction]
-        starts = {
-            "head": head,
-            "heading": torch.full_like(head[..., 0], pi),
-            "food_direction": torch.where(is_up, 1.0, -1.0).to(chance.dtype),
-        }
-        return TensorDict(starts, chance.shape, device=chance.device)
+        """Return starts that face -x, of noses ``head`` and other random numbers ``[E, ...]``."""
+        starts = {"head": head, "heading": torch.full_like(head[..., 0], pi)} | self.draw_path(
+            chance
+        )
+        return TensorDict(starts, chance.shape[:1], device=chance.device)
 
     def read_scene(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Add the food and its distance from the nearest nose."""
@@ -286,13 +249,12 @@ class Predation(AbstractPredation):
     """
 
     n_obs: ClassVar[int] = 4
-    num_draws: ClassVar[int] = 3
 
     def starts_from(self, uniform: Tensor) -> TensorDict:
         """Draw nose positions (on nodes, facing -x) and the food's first direction."""
         low, high = torch.tensor(self.start_range, dtype=torch.float64, device=uniform.device).T
         return self._make_starts(
-            low + torch.floor(uniform[:, :2] * (high - low + 1.0)), uniform[:, 2]
+            low + torch.floor(uniform[:, :2] * (high - low + 1.0)), uniform[:, 2:]
         )
 
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
@@ -305,6 +267,7 @@ class Predation(AbstractPredation):
             "head": head,
             "heading": heading,
             "food": food,
+            "food_ahead": self.foresee_food(starts, solver.body.age),
             "target": sense_target(head, heading, food, body_length=self.body_length),
             "clearance": compute_clearance(markers, solver.config),
         }
@@ -316,5 +279,5 @@ class Predation(AbstractPredation):
         return target.float()
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
-        """Return ``captured`` ``[B]``."""
-        return {"captured": self.has_caught(now)}
+        """Return ``captured`` ``[B]``, and ``food_ahead``, the path of the food."""
+        return {"captured": self.has_caught(now), "food_ahead": now["food_ahead"]}

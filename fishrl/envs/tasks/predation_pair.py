@@ -36,7 +36,6 @@ class PredationPair(AbstractPredation):
     """
 
     n_obs: ClassVar[int] = 8
-    num_draws: ClassVar[int] = 5
     num_fish: ClassVar[int] = 2
 
     start_y_bl: tuple[float, float] = (1.0, 4.0)
@@ -51,7 +50,8 @@ class PredationPair(AbstractPredation):
                 f"contact_bl = {self.contact_bl}: is {self.contact_bl * self.body_length:g} nodes; "
                 f"must be at least {MIN_GAP:g} node"
             )
-        nearest = torch.tensor([[0.0, 1.0 - 2.0**-53, 0.0, 0.0, 0.0]], dtype=torch.float64)
+        nearest = torch.zeros(1, self.num_draws, dtype=torch.float64)
+        nearest[0, 1] = 1.0 - 2.0**-53
         self.check_starts(self.starts_from(nearest))
 
     def check_starts(self, starts: TensorDictBase) -> None:
@@ -83,7 +83,7 @@ class PredationPair(AbstractPredation):
         low = uniform.new_tensor([[left, lane[0]] for lane in lanes])
         high = uniform.new_tensor([[right, lane[1]] for lane in lanes])
         places = uniform[:, :4].view(-1, 2, 2)
-        return self._make_starts(low + torch.floor(places * (high - low + 1.0)), uniform[:, 4])
+        return self._make_starts(low + torch.floor(places * (high - low + 1.0)), uniform[:, 4:])
 
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Measure what each fish observes, its distance from the walls, and the gap of the two."""
