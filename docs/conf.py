@@ -10,6 +10,7 @@ from docutils import nodes
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
 
+from notebooks import offer_notebook  # noqa: E402
 from reference import show_signature, write_reference  # noqa: E402
 
 import fishrl  # noqa: E402
@@ -77,9 +78,17 @@ def link_studies(_app: Any, _page: str, source: list[str]) -> None:
     source[0] = re.sub(r"\]\(((?:\.\./)+studies/[^)]*\.md)\)", r"](path:\1)", source[0])
 
 
+def add_notebooks(_app: Any, page: str, source: list[str]) -> None:
+    """Offer each tutorial as a notebook, too."""
+    if page.startswith("tutorials/"):
+        folder = HERE / "static" / "notebooks"
+        source[0] = offer_notebook(HERE / f"{page}.md", source[0], folder)
+
+
 def setup(app: Any) -> None:
     """Connect the above."""
     app.connect("autodoc-skip-member", skip)
     app.connect("autodoc-process-signature", tidy)
     app.connect("doctree-read", drop_object)
     app.connect("source-read", link_studies)
+    app.connect("source-read", add_notebooks)

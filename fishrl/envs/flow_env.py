@@ -10,6 +10,7 @@ transforms.
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from inspect import Signature, signature
 from math import inf
 from typing import Any
 
@@ -134,6 +135,9 @@ class FlowEnv(EnvBase):
         self.now = self._begin()
         self._make_specs()  # reports an invalid task before the compilation
         self.solver.compile()
+
+    #: Those of ``__init__``, which TorchRL's metaclass would hide.
+    __signature__ = Signature([*signature(__init__).parameters.values()][1:])
 
     def measure(self) -> TensorDict:
         """Measure the current flows; also valid within an action."""
