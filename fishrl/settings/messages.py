@@ -12,11 +12,14 @@ def explain(name: str, errors: list[Any], *, value: Any, known: Iterable[str]) -
         return f"{name}: there is no such setting{suggest(name, known)}"
     if kind == "missing" and len(errors[0]["loc"]) == 1:
         return f"{name}: has no default, so it must be given"
-    entries = [e["loc"][1] for e in errors if e["type"] == "missing"]
-    if entries:  # of a tuple
-        return f"{name} = {_show(value)}: must be a list of {max(entries) + 1}"
-    first, *others = dict.fromkeys(_say(error) for error in errors)
-    if all(isinstance(part, str) for error in errors for part in error["loc"]):  # of a union
+    reasons = dict.fromkeys(_say(error) for error in errors)
+    lengths = [error["loc"][-1] + 1 for error in errors if error["type"] == "missing"]
+    if lengths:
+        reasons.pop("", None)
+        reasons[f"be a list of {max(lengths)}"] = None
+    first, *others = reasons
+    is_union = all(isinstance(part, str) for error in errors for part in error["loc"][:2])
+    if is_union:
         first = " or ".join([first, *(reason.removeprefix("be ") for reason in others)])
     return f"{name} = {_show(value)}: must {first}"
 
