@@ -36,7 +36,7 @@ from fishrl.training.run_folder import write_json
 #: Decisions between pictures of the flow, of which the last one is kept.
 SNAPSHOT = 40
 #: Settings of the task that may be other than in training.
-VARIED = ("leader", "time_limit", "start_x_bl", "start_y_bl", "start_degrees", "wake_folder")
+VARIED = ("leader", "time_limit", "start_x_bl", "start_y_bl", "start_degrees")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,7 +39,6 @@ MORE = {
     "wandb": ["logger.is_offline=true"],
     # continuous actions
     "follower": ["algorithm=sac"],
-    "follower_disc": ["algorithm=sac"],
     "follower_small": ["algorithm=sac"],
     "karman_gait_continuous": ["algorithm=sac"],
     "predation_continuous": ["algorithm=sac"],

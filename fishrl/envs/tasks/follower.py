@@ -1,4 +1,4 @@
-"""Follower: swim behind a fish or a half disc with as little work as possible."""
+"""Follower: swim behind a fish with as little work as possible."""
 
 from dataclasses import replace
 from functools import cached_property
@@ -53,14 +53,14 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
     carried along by no mean force, and ``cost_alone`` belong to it (a sharp skin needs 0.49).
 
     Args:
-        leader: fish, disc, or none, for comparison with a fish alone.
+        leader: fish, or none, for comparison with a fish alone. (``KarmanGait`` with a
+            ``BendControl`` has a fish that turns itself behind a half disc.)
         stream_speed_bl: speed of the stream, L / T.
         turn_degrees: largest turn of an action.
         frequency_range: least and largest tail-beat frequency, beats per T.
         amplitude_range: least and largest share of the gait's amplitude, at most 1; None for the
             gait's own.
         cost_alone: work of the fish alone for 1 L through the water, rho L^4 / T^2.
-        diameter_bl: D of the half disc.
         leader_x_bl: distance of the rear end of the leader from the inflow.
         start_x_bl: range of the initial x.
         start_y_bl: the same along y.
@@ -69,7 +69,6 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
         aside_bl: largest distance from the centreline of the leader.
         contact_bl: gap to the leader that counts as contact; below three nodes or so the delta
             kernels of both overlap.
-        wake_folder: cache of developed wakes behind the disc.
     """
 
     num_draws: ClassVar[int] = 4
@@ -83,13 +82,12 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
     time_limit: int = 200
     control_interval_T: float = 0.5
     checks_per_action: int = 16
-    leader: Literal["fish", "disc", "none"] = "fish"
+    leader: Literal["fish", "none"] = "fish"
     stream_speed_bl: PositiveFloat = 0.35
     turn_degrees: Annotated[float, Field(gt=0, le=30)] = 6.0
     frequency_range: Annotated[tuple[_Frequency, _Frequency], Rising] = (0.7, 1.35)
     amplitude_range: Annotated[tuple[_Share, _Share], Rising] | None = None
     cost_alone: PositiveFloat = 0.11
-    diameter_bl: PositiveFloat = 0.3125
     leader_x_bl: PositiveFloat = 1.75
     start_x_bl: tuple[float, float] = (1.0, 1.5)
     start_y_bl: tuple[float, float] = (-0.25, 0.25)
@@ -97,7 +95,6 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
     range_bl: Annotated[tuple[float, float], Rising] = (0.5, 3.0)
     aside_bl: PositiveFloat = 1.0
     contact_bl: PositiveFloat = 0.1
-    wake_folder: str = "runs/wakes"
 
     def __post_init__(self) -> None:
         for name in ("start_x_bl", "start_y_bl"):
@@ -155,14 +152,9 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
 
     @cached_property
     def stream(self) -> Stream:
-        """The stream, with the half disc if that leads."""
-        return Stream(
-            speeds_bl=(self.stream_speed_bl,),
-            has_disc=self.leader == "disc",
-            diameter_bl=self.diameter_bl,
-            face_bl=self.leader_x_bl,
-            wake_folder=self.wake_folder,
-        )
+        """The stream; places refer to the rear end of the leader."""
+        speeds, x = (self.stream_speed_bl,), self.leader_x_bl
+        return Stream(speeds_bl=speeds, has_disc=False, face_bl=x)
 
     def flow_config(self) -> FlowConfig:
         """Return the stream with the follower and, if any, the leader."""
@@ -177,8 +169,7 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
     def leader_start(self) -> TensorDict:
         """Nose and heading of the leader, ``[1]``, as in ``starts_from``."""
         x, y = self.origin
-        length = 0.5 * self.diameter_bl if self.leader == "disc" else 1.0
-        head = torch.tensor([[x - length * self.body_length, y]], dtype=torch.float64)
+        head = torch.tensor([[x - self.body_length, y]], dtype=torch.float64)
         return TensorDict({"head": head, "heading": torch.full_like(head[:, 0], pi)}, [1])
 
     @property
@@ -187,7 +178,7 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
         return self.contact_bl * self.body_length
 
     def starts_from(self, uniform: Tensor) -> TensorDict:
-        """Draw position, heading and, behind a half disc, the phase of the wake."""
+        """Draw position and heading, and the phase that every start in a stream has."""
         ranges = (self.start_x_bl, self.start_y_bl, (-self.start_degrees, self.start_degrees))
         low, high = torch.tensor(ranges, dtype=uniform.dtype, device=uniform.device).T
         x, y, angle = (low + uniform[:, :3] * (high - low)).unbind(-1)
@@ -220,7 +211,7 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
             )
 
     def place_(self, solver: InPlaceSolver, rows: Tensor, starts: TensorDictBase) -> None:
-        """Set the stream, the wake if there is a half disc, and the bodies of each row."""
+        """Set the stream and the bodies of each row."""
         position, heading = place_fish(starts, self.fish)
         if self.leader == "fish":
             centre, angle = place_fish(self.leader_start.to(starts.device), self.fish)
