@@ -240,7 +240,7 @@ class BendControl(FrequencyControl):
 
     beat: FrequencyControl = MacroActions()
     bend_bl: Annotated[float, Field(gt=0, le=0.5)] = 0.3
-    response_T: PositiveFloat = 0.25
+    response_T: PositiveFloat = 0.3
 
     @property
     def rows(self) -> tuple[tuple[float, ...], ...]:

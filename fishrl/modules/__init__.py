@@ -10,7 +10,7 @@ from fishrl.modules.actors import (
 )
 from fishrl.modules.controllers import InterceptPolicy, PursuitPolicy, RandomPolicy
 from fishrl.modules.follower_controllers import KeepPlace
-from fishrl.modules.gait_controllers import PID, FixedFrequency, GaitPolicy, bang_bang
+from fishrl.modules.gait_controllers import PID, FixedFrequency, GaitPolicy, KeepCourse, bang_bang
 from fishrl.modules.lateral_line import LateralLineClassifier
 from fishrl.modules.value_actors import (
     EpsilonGreedy,
@@ -25,6 +25,7 @@ __all__ = [
     "FixedFrequency",
     "GaitPolicy",
     "InterceptPolicy",
+    "KeepCourse",
     "KeepPlace",
     "LateralLineClassifier",
     "PursuitPolicy",

@@ -17,6 +17,7 @@ from torch import Tensor
 #: frequency ``[B]`` in beats per T, float64; may be infinite.
 FrequencyController = Callable[[TensorDictBase, Tensor], Tensor]
 STATION_BL = 2.1  # x to keep, body lengths
+_HEADING = ("facing", "yaw_rate")
 
 
 class FixedFrequency:
@@ -83,11 +84,50 @@ class PID:
         return (proportional + self.integral_gain * self._sum).double()
 
 
+class KeepCourse:
+    """PD control of the heading by the bend: upstream, and back to the centreline.
+
+    The target heading differs from upstream by gains times the lateral offset and its change; the
+    bend is proportional to the difference from it, less the damping of the yaw rate.
+
+    Args:
+        gain: radians per body length of offset.
+        damping: radians for one body length per T.
+        max_angle: largest angle between target heading and upstream, radians.
+        bend_gain: share of the largest bend per radian.
+        yaw_damping: share of the largest bend per radian per T.
+        interval_T: time between decisions.
+    """
+
+    def __init__(
+        self,
+        *,
+        gain: float = 0.6,
+        damping: float = 0.3,
+        max_angle: float = 0.5,
+        bend_gain: float = 3.0,
+        yaw_damping: float = 0.3,
+        interval_T: float = 0.125,
+    ) -> None:
+        self.gain, self.damping, self.max_angle = gain, damping, max_angle
+        self.bend_gain, self.yaw_damping, self.interval_T = bend_gain, yaw_damping, interval_T
+
+    def __call__(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the share of the largest bend ``[B]`` in [-1, 1], positive to the left."""
+        offset, change = tensordict["place"][..., 1], tensordict["drift"][..., 1]
+        facing, yaw_rate = (tensordict[name].reshape(offset.shape) for name in _HEADING)
+        aim = self.gain * offset + self.damping * change / self.interval_T
+        error = aim.clamp(-self.max_angle, self.max_angle) - facing  # a heading above 0 leads to -y
+        share: Tensor = self.bend_gain * error - self.yaw_damping * yaw_rate
+        return share.clamp(-1.0, 1.0)
+
+
 class GaitPolicy(TensorDictModuleBase):
-    """Take the legal action that comes nearest to the commanded frequency.
+    """Take the legal action that comes nearest to the commanded frequency, and bend.
 
     Args:
         controller: commands the frequency.
+        course: commands the bend where actions have one; None where they have not.
         rows: available frequencies, rising, one row per flow; one row with ``is_direct``, whose
             ends are the range of a continuous action.
         is_direct: actions are indices into the only row; otherwise decelerate (0), cruise (1) or
@@ -100,6 +140,7 @@ class GaitPolicy(TensorDictModuleBase):
         self,
         *,
         controller: FrequencyController,
+        course: KeepCourse | None = None,
         rows: Sequence[Sequence[float]],
         is_direct: bool = False,
         is_continuous: bool = False,
@@ -107,22 +148,27 @@ class GaitPolicy(TensorDictModuleBase):
     ) -> None:
         super().__init__()
         self.controller, self.is_direct, self.flow_key = controller, is_direct, flow_key
+        self.course = course
         self.is_continuous = is_continuous
-        self.in_keys = ["place", "drift", "is_init", "gear", flow_key]
+        self.in_keys = ["place", "drift", *_HEADING, "is_init", "gear", flow_key]
         self.out_keys = ["action"]
         self.rows = torch.tensor(rows, dtype=torch.float64)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``action`` ``[B]``, or ``[B, 1]`` if continuous; it is always legal."""
+        """Write ``action`` ``[B]``, or ``[B, n]`` if continuous; it is always legal."""
         batch = tensordict.batch_size
         flow = tensordict[self.flow_key].reshape(batch).round().long()  # or a mean label
         rows = self.rows.to(flow.device)
         wanted = self.controller(tensordict, flow).clamp(rows.min(), rows.max())
         if self.is_continuous:
             share = (wanted - rows.min()) / (rows.max() - rows.min())
-            return tensordict.set("action", (2.0 * share - 1.0).float().unsqueeze(-1))
+            bend = [] if self.course is None else [self.course(tensordict)]
+            action = torch.stack((*bend, 2.0 * share - 1.0), -1)
+            return tensordict.set("action", action.float())
         row = rows[0].expand(*batch, -1) if self.is_direct else rows[flow]
         action = (row - wanted[..., None]).abs().argmin(-1)
         if not self.is_direct:
             action = 1 + (action - tensordict["gear"].reshape(batch)).sign()
+        if self.course is not None:
+            action = 3 * action + 1 - self.course(tensordict).round().long()
         return tensordict.set("action", action)

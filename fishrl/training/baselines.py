@@ -20,6 +20,7 @@ from fishrl.modules import (
     FixedFrequency,
     GaitPolicy,
     InterceptPolicy,
+    KeepCourse,
     KeepPlace,
     PursuitPolicy,
     RandomPolicy,
@@ -158,9 +159,15 @@ def make_pid(task: KarmanGait, seed: int = 0, *, station_bl: float | Tensor = 2.
     control = task.control
     frequency: float | list[float] = 0.5 * control.max_frequency
     if control.num_flows is not None:  # the middle of each row roughly holds station
-        frequency = [row[len(row) // 2] for row in control.rows]
+        frequency = [row[len(row) // 2] for row in _list_rows(task)]
     damping = 4.0 / task.interval_T  # per decision; 4 beats per T and L / T
     return make_gait_policy(PID(station_bl=station_bl, frequency=frequency, damping=damping), task)
+
+
+def _list_rows(task: KarmanGait) -> tuple[tuple[float, ...], ...]:
+    """Return the frequencies by gear of each flow, the same ones if there is one row for all."""
+    rows, num = task.control.rows, len(task.stream.speeds_bl)
+    return rows * num if len(rows) == 1 else rows
 
 
 def make_gait_policy(controller: FrequencyController, task: KarmanGait) -> GaitPolicy:
@@ -168,7 +175,8 @@ def make_gait_policy(controller: FrequencyController, task: KarmanGait) -> GaitP
     control = task.control
     return GaitPolicy(
         controller=controller,
-        rows=control.rows,
+        course=KeepCourse(interval_T=task.interval_T) if control.bend_bl else None,
+        rows=_list_rows(task),
         is_direct=control.num_flows is None,
         is_continuous=control.action_bounds is not None,
         flow_key="flow_class" if task.reads_flow_class else "flow_index",

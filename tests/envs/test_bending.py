@@ -21,14 +21,14 @@ def test_bending_fish_is_turned_by_the_water_alone_and_pays_for_pushing_work(
     is_continuous: bool,
 ) -> None:
     beat = ContinuousFrequency() if is_continuous else MacroActions(rows=((0.5, 1.0, 1.5),))
-    task = KarmanGait(**TINY, control=BendControl(beat=beat, bend_bl=0.2, response_T=0.125))
+    task = KarmanGait(**TINY, control=BendControl(beat=beat, bend_bl=0.1, response_T=0.125))
     env = make_flows(task, 2)
     env.reset()
     assert env.task.fish.motion.free_axes == (0, 1, 2)
     left, right = ([[1.0, 0.0], [-1.0, 0.0]]) if is_continuous else (3, 5)
     step = env.step(TensorDict({"action": torch.tensor([left, right])}, [2]))["next"]
     # a command of two time constants; the tail is on the side of the turn
-    goal = 0.2 * (1.0 - exp(-2.0))
+    goal = 0.1 * (1.0 - exp(-2.0))
     assert (-env.solver.body.bend).tolist() == pytest.approx([goal, -goal], rel=0.02)
     assert env.now["own_motion"][:, 2].tolist() == (-env.solver.body.bend).tolist()
     assert step["torque_work"].abs().max() < 1e-4 * step["positive_work"].min()

@@ -4,7 +4,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.modules import PID, FixedFrequency, GaitPolicy, bang_bang
+from fishrl.modules import PID, FixedFrequency, GaitPolicy, KeepCourse, bang_bang
 
 ROWS = ((0.5, 1.0, 1.5), (0.6, 1.2, 1.8))
 
@@ -76,3 +76,21 @@ def test_integral_is_bounded_and_restarts_with_each_episode() -> None:
 
     assert [want(True), want(), want(), want()] == pytest.approx([1.25, 1.5, 1.6, 1.6])
     assert want(True) == pytest.approx(1.25)
+
+
+@pytest.mark.parametrize("is_continuous", [False, True])
+def test_course_is_kept_by_bending_towards_the_centreline_and_upstream(is_continuous: bool) -> None:
+    rows = [(0.5, 1.5)] if is_continuous else ROWS
+    policy = GaitPolicy(
+        controller=FixedFrequency(1.0), course=KeepCourse(), rows=rows, is_continuous=is_continuous
+    )
+    seen = see([1.5] * 5)
+    seen["place"][:, 1] = torch.tensor([0.0, 1.0, -1.0, 0.0, 0.0])  # upstream is -x, right is +y
+    seen["facing"] = torch.tensor([0.0, 0.0, 0.0, 0.9, 0.0])[:, None].double()  # to the left
+    seen["yaw_rate"] = torch.tensor([0.0, 0.0, 0.0, 0.0, -9.0])[:, None].double()
+    bends = [0, 1, -1, -1, 1]
+    given = policy(seen)["action"]
+    if is_continuous:
+        assert given.tolist() == [[bend, 0.0] for bend in bends]
+    else:
+        assert given.tolist() == [3 * 1 + 1 - bend for bend in bends]

@@ -23,6 +23,7 @@ from fishrl.envs.task import Command
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 
 @final
@@ -88,6 +89,13 @@ class KarmanGait(HasSenses, AbstractStreamTask, HasHistory, HasScene):
                 f"start_flows = {self.start_flows}: give one or more of the indices 0 to {num - 1}"
             )
         self.check_senses()
+        speed = self.control.bend_rate_bl * self.scales.reference_speed
+        if speed > MAX_IMPOSED_SPEED:
+            raise ValueError(
+                f"control bends the tail at up to {speed:.3g} nodes per step, allowed is "
+                f"{MAX_IMPOSED_SPEED}: raise control.response_T, or lower control.bend_bl or "
+                "max_wall_speed"
+            )
         if self.control.num_flows not in (None, 1, num):
             raise ValueError(
                 f"control has rows for {self.control.num_flows} flows, but stream.speeds_bl has "
@@ -133,6 +141,11 @@ class KarmanGait(HasSenses, AbstractStreamTask, HasHistory, HasScene):
     def swimming_speed(self) -> float:
         """Bound on the speed of a marker, with a bend from one side to the other."""
         return super().swimming_speed + self.control.bend_rate_bl * self.scales.reference_speed
+
+    @property
+    def largest_turn(self) -> float:
+        """Largest turn of an action, radians, or its largest bend."""
+        return self.control.bend_bl or super().largest_turn
 
     @cached_property
     def fish(self) -> Fish:
