@@ -289,7 +289,7 @@ def test_free_stream_has_neither_disc_nor_wake() -> None:
         ({"start_flows": ()}, r"start_flows = \(\): give one or more of the indices 0 to 2"),
         ({"stream": Stream(speeds_bl=(1.0,)), "start_flows": (0,)}, "control has rows for 3 flows"),
         (
-            {"control": BendControl(beat=MacroActions(rows=ROWS), response_T=0.02)},
+            {"control": BendControl(beat=MacroActions(rows=ROWS), bend_bl=0.5, response_T=0.2)},
             "bends the tail at up to .* allowed is 0.3: raise control.response_T",
         ),
         ({"observes": ("flow_label",)}, "observes = .*: name a sense other than flow_label"),
