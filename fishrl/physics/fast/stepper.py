@@ -93,9 +93,9 @@ class Stepper:
 
     def advance_(self, group: FlowGroup, num_steps: int) -> None:
         """Advance one group by an even number of steps."""
-        if self.locate is not None:
-            self.locate.run(*group.arguments[self.locate][1])  # as after an odd step
         num_pairs = num_steps // 2
+        if self.locate is not None and num_pairs:
+            self.locate.run(*group.arguments[self.locate][1])  # as after an odd step
         if self._device.type == "cuda" and num_pairs:
             if not group.graphs:  # kernels are built in a first call, which cannot be captured
                 self._advance_pairs_(group, 1)
