@@ -101,7 +101,6 @@ JOBS = [
         run_half_disc,
         {"reynolds": reynolds, **run},
         cost=WIDTH_D * HEIGHT_D * TRAVELS * size**3 / SPEEDS[reynolds],
-        is_quick=(reynolds, run) == (200, {"diameter": 20}),
     )
     for reynolds in SPEEDS
     for run in RUNS.values()

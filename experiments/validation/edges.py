@@ -67,7 +67,7 @@ def shed_between(*, edges: str, far: str = "") -> Result:
 
 
 JOBS = [
-    Job(shed_between, {"edges": edges, **far}, is_quick=not far)
+    Job(shed_between, {"edges": edges, **far})
     for edges in (NEW, OLD)
     for far in ({}, *({"far": name} for name in FAR))
     if edges == NEW or far in ({}, {"far": "outflow"})

@@ -18,8 +18,7 @@ from experiments.validation.swimmer import draw_speed, make_swim
 from fishrl.physics.bodies.gait import GAITS
 from fishrl.programs.figures.style import COLOURS
 
-BODY_LENGTH, QUICK_LENGTH = 100, 50
-NUM_BEATS, QUICK_BEATS = 10, 6
+BODY_LENGTH, NUM_BEATS = 100, 10
 REYNOLDS = (500, 1000, 2000, 4000, 7142)
 ENDS = (500, 7142)
 EXPONENT = 4.0 / 3.0
@@ -27,26 +26,21 @@ SOURCE = "Gazzola, Argentina & Mahadevan 2014, Nature Phys. 10, 758: Re ∝ Sw^(
 
 
 JOBS = [
-    *(
-        make_swim(BODY_LENGTH, NUM_BEATS, gait=gait, reynolds=re)
-        for gait in GAITS
-        for re in (REYNOLDS if gait == "carling" else ENDS)
-    ),
-    make_swim(QUICK_LENGTH, QUICK_BEATS, reynolds=500, is_quick=True),
+    make_swim(BODY_LENGTH, NUM_BEATS, gait=gait, reynolds=re)
+    for gait in GAITS
+    for re in (REYNOLDS if gait == "carling" else ENDS)
 ]
 
 
 def _select(runs: Runs, gait: str) -> dict[int, Result]:
-    """Return the runs of a gait by Reynolds number; the quick one if there is no other."""
-    full = runs.by("reynolds", body_length=BODY_LENGTH, num_beats=NUM_BEATS, gait=gait)
-    quick = runs.by("reynolds", body_length=QUICK_LENGTH, num_beats=QUICK_BEATS, gait=gait)
-    return full or quick
+    """Return the runs of a gait by Reynolds number."""
+    return runs.by("reynolds", body_length=BODY_LENGTH, num_beats=NUM_BEATS, gait=gait)
 
 
 def judge(runs: Runs) -> Iterator[Check]:
     """Check the exponent of speed against Reynolds number; record each gait."""
     speeds = {re: run["speed"][-1] for re, run in _select(runs, "carling").items()}
-    resolution = f"L = {BODY_LENGTH if len(speeds) > 1 else QUICK_LENGTH}"
+    resolution = f"L = {BODY_LENGTH}"
     if len(speeds) > 1:
         yield Check(
             "exponent p of U L / ν ∝ Sw^p, Re = 500–7142",

@@ -54,7 +54,9 @@ def start_crowd(configs: list[FlowConfig], **settings: object) -> InPlaceSolver:
 CROWD = [make_crowd(), make_crowd(tau=0.6, diameter=15.0, amplitude=0.07)]
 
 
-@pytest.mark.parametrize("compile", [False, pytest.param(True, marks=pytest.mark.compile)])
+@pytest.mark.parametrize(
+    "compile", [False, pytest.param(True, marks=[pytest.mark.compile, pytest.mark.slow])]
+)
 def test_many_bodies_in_flows_that_differ_equal_the_readable_step(compile: bool) -> None:
     solver = start_crowd(CROWD, flows_per_launch=2, compile=compile)
     start = read_state(solver)
