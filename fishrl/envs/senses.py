@@ -36,14 +36,30 @@ class Sense(NamedTuple):
     read: Callable[[TensorDictBase], Tensor]  #: returns them, ``[B, size]``, from a measurement
 
 
-def list_senses(line: LateralLine) -> dict[str, Sense]:
+#: Powers of the stream speed in the lateral line's features; those not listed are not scaled.
+_POWERS = dict.fromkeys(("u_x", "u_y", "speed", "ahead", "left", "slip", "shear"), 1)
+_POWERS |= {"p": 2, "pressure": 2}
+
+
+def list_senses(line: LateralLine, *, stream_speed_bl: float) -> dict[str, Sense]:
     """Return all senses of a fish with this lateral line.
 
     ``own_motion`` is what a fish can feel of itself: sine and cosine of the phase of its tail beat,
     bend (L, positive to the left), frequency (beats per T) and yaw rate (radians per T).
     ``lateral_line`` holds the latest signal of each neuromast and its change since the last
-    decision. ``flow_label`` is appended by a transform, after all others.
+    decision, velocities divided by the speed U of the fastest stream and pressures by its square.
+    ``flow_label`` is appended by a transform, after all others.
+
+    Args:
+        line: the neuromasts.
+        stream_speed_bl: U in L / T.
     """
+    units = torch.tensor([stream_speed_bl ** _POWERS.get(name, 0) for name in line.features])
+
+    def read_lateral_line(now: TensorDictBase) -> Tensor:
+        signal, before = now["lateral_line"][:, -1], now["lateral_line_before"]
+        return (torch.stack((signal, signal - before), 1) / units.to(signal)).flatten(1)
+
     num_signals = (1 if line.is_averaged else line.num_neuromasts) * len(line.features)
     return {
         "place": Sense("place", 2, lambda now: now["place"]),
@@ -54,7 +70,7 @@ def list_senses(line: LateralLine) -> dict[str, Sense]:
         "water_velocity": Sense(
             "velocity at the lateral line", 2, lambda now: now["velocity"].mean(1)
         ),
-        "lateral_line": Sense("lateral line", 2 * num_signals, _read_lateral_line),
+        "lateral_line": Sense("lateral line", 2 * num_signals, read_lateral_line),
         "flow_label": Sense("flow label", 0, lambda now: now["place"][:, :0]),
     }
 
@@ -80,11 +96,13 @@ class HasSenses(HasFlowLabels):
         observes: names of the senses.
         lateral_line: of the fish.
         reads_flow_class: whether a transform labels the flow.
+        max_stream_speed_bl: speed of the fastest stream, L / T.
     """
 
     observes: tuple[SenseName, ...]
     lateral_line: LateralLine
     reads_flow_class: bool
+    max_stream_speed_bl: float
 
     @property
     def n_obs(self) -> int:
@@ -112,10 +130,6 @@ class HasSenses(HasFlowLabels):
         return torch.cat([sense.read(now).float() for sense in self._list_observed()], -1)
 
     def _list_observed(self) -> list[Sense]:
-        senses = list_senses(self.lateral_line)
+        speed = self.max_stream_speed_bl
+        senses = list_senses(self.lateral_line, stream_speed_bl=speed)
         return [senses[name] for name in self.observes]
-
-
-def _read_lateral_line(now: TensorDictBase) -> Tensor:
-    signal, before = now["lateral_line"][:, -1], now["lateral_line_before"]
-    return torch.stack((signal, signal - before), 1).flatten(1)
