@@ -14,6 +14,7 @@ from torch import Tensor
 from fishrl.envs.extensions import HasFlowLabels
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.sensors import wrap_angle
+from fishrl.envs.streams import AbstractStreamTask
 from fishrl.physics.bodies.state import BodyState
 
 SenseName = Literal[
@@ -26,6 +27,12 @@ SenseName = Literal[
     "lateral_line",
     "flow_label",
 ]
+
+
+DEFAULT_SENSES: tuple[SenseName, ...] = (
+    *("place", "drift", "water_velocity", "tail_beat"),
+    "flow_label",
+)
 
 
 class Sense(NamedTuple):
@@ -54,11 +61,12 @@ def list_senses(line: LateralLine, *, stream_speed_bl: float) -> dict[str, Sense
         line: the neuromasts.
         stream_speed_bl: U in L / T.
     """
-    units = torch.tensor([stream_speed_bl ** _POWERS.get(name, 0) for name in line.features])
+    units = [stream_speed_bl ** _POWERS.get(name, 0) for name in line.features]
 
     def read_lateral_line(now: TensorDictBase) -> Tensor:
         signal, before = now["lateral_line"][:, -1], now["lateral_line_before"]
-        return (torch.stack((signal, signal - before), 1) / units.to(signal)).flatten(1)
+        unit = torch.tensor(units, dtype=signal.dtype, device=signal.device)
+        return (torch.stack((signal, signal - before), 1) / unit).flatten(1)
 
     num_signals = (1 if line.is_averaged else line.num_neuromasts) * len(line.features)
     return {
@@ -89,20 +97,25 @@ def measure_own_motion(body: BodyState, period: int) -> dict[str, Tensor]:
     }
 
 
-class HasSenses(HasFlowLabels):
-    """Base of tasks that observe what ``observes`` lists; it precedes ``AbstractTask``.
+class AbstractSensingTask(AbstractStreamTask, HasFlowLabels):
+    """Base of tasks in a stream whose policy observes the senses that it lists.
 
-    Attributes:
-        observes: names of the senses.
-        lateral_line: of the fish.
-        reads_flow_class: whether a transform labels the flow.
-        max_stream_speed_bl: speed of the fastest stream, L / T.
+    Args:
+        reads_flow_class: select the row of frequencies by ``flow_class``, which a transform writes,
+            instead of by the true flow.
+        observes: what the policy observes, in this order, see ``list_senses``; the label is that
+            of a ``transforms.FlowLabelTransform``. A name may be repeated.
+        lateral_line: the neuromasts.
     """
 
-    observes: tuple[SenseName, ...]
-    lateral_line: LateralLine
-    reads_flow_class: bool
-    max_stream_speed_bl: float
+    reads_flow_class: bool = False
+    observes: tuple[SenseName, ...] = DEFAULT_SENSES
+    lateral_line: LateralLine = LateralLine()
+
+    def __post_init__(self) -> None:
+        if not self.n_obs:
+            raise ValueError(f"observes = {self.observes}: name a sense other than flow_label")
+        super().__post_init__()
 
     @property
     def n_obs(self) -> int:
@@ -119,11 +132,6 @@ class HasSenses(HasFlowLabels):
         """What is observed, in words."""
         used = [sense for sense in self._list_observed() if sense.size or self.reads_flow_class]
         return tuple(dict.fromkeys(sense.words for sense in used))
-
-    def check_senses(self) -> None:
-        """Raise ValueError if the task itself observes nothing."""
-        if not self.n_obs:
-            raise ValueError(f"observes = {self.observes}: name a sense other than flow_label")
 
     def observe(self, now: TensorDictBase) -> Tensor:
         """Return what the senses read."""

@@ -11,14 +11,13 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.extensions import HasHistory, HasScene
-from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import FrequencyControl, MacroActions
 from fishrl.envs.scene import Panel, Scene, Series
-from fishrl.envs.senses import HasSenses, SenseName, measure_own_motion
+from fishrl.envs.senses import AbstractSensingTask, measure_own_motion
 from fishrl.envs.sensors import compute_clearance, wrap_angle
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, Steering
-from fishrl.envs.streams import AbstractStreamTask, Stream
+from fishrl.envs.streams import Stream
 from fishrl.envs.task import Command
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
 from fishrl.physics.bodies.fish import Fish
@@ -27,7 +26,7 @@ from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 
 @final
-class KarmanGait(HasSenses, AbstractStreamTask, HasHistory, HasScene):
+class KarmanGait(AbstractSensingTask, HasHistory, HasScene):
     """Hold station behind a half disc, or in a free stream, by choosing the tail-beat frequency.
 
     Positions are of the nose relative to the middle of the disc's flat side, x downstream, in body
@@ -45,12 +44,7 @@ class KarmanGait(HasSenses, AbstractStreamTask, HasHistory, HasScene):
         stream: the flows.
         start_flows: indices of the flows in which episodes take place, drawn uniformly.
         control: maps actions to tail-beat frequencies; rows in the order of the flows.
-        reads_flow_class: select the row by ``flow_class``, which a transform writes, instead of by
-            the true flow.
-        observes: what the policy observes, in this order, see ``senses.list_senses``; the label
-            is that of a ``transforms.FlowLabelTransform``. A name may be repeated.
         steering: heading controller; not used if actions bend the fish.
-        lateral_line: the neuromasts.
         start_x_bl: range of the initial nose position.
         start_y_bl: the same along y.
         safe_area: area outside which episodes terminate.
@@ -70,13 +64,7 @@ class KarmanGait(HasSenses, AbstractStreamTask, HasHistory, HasScene):
     stream: Stream = Stream()
     start_flows: tuple[int, ...] = (0, 1, 2)
     control: FrequencyControl = MacroActions()
-    reads_flow_class: bool = False
-    observes: tuple[SenseName, ...] = (
-        *("place", "drift", "water_velocity", "tail_beat"),
-        "flow_label",
-    )
     steering: Steering = PIDSteering()
-    lateral_line: LateralLine = LateralLine()
     start_x_bl: tuple[float, float] = (1.5, 2.0)
     start_y_bl: tuple[float, float] = (-0.1, 0.1)
     safe_area: SafeArea = SafeArea()
@@ -88,7 +76,6 @@ class KarmanGait(HasSenses, AbstractStreamTask, HasHistory, HasScene):
             raise ValueError(
                 f"start_flows = {self.start_flows}: give one or more of the indices 0 to {num - 1}"
             )
-        self.check_senses()
         speed = self.control.bend_rate_bl * self.scales.reference_speed
         if speed > MAX_IMPOSED_SPEED:
             raise ValueError(
