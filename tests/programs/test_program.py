@@ -26,7 +26,8 @@ def test_help_shows_choices_settings_and_what_they_mean(
 ) -> None:
     train.main(["--help", "preset=gait_small"])
     said = capsys.readouterr().out
-    assert "preset: one of follower_small, gait_bend, gait_half, gait_narrow, gait_paper, gait_small" in said
+    presets = "follower_small, gait_bend, gait_half, gait_narrow, gait_paper, gait_small"
+    assert f"preset: one of {presets}" in said
     assert "  num_envs=16  flows that advance together." in said
     assert "  compile=true  " in said
     assert "  recognition=null  " in said
