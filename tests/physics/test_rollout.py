@@ -7,77 +7,113 @@ import pytest
 import torch
 from torch import Tensor
 
-from fishrl.physics import Coupling, Fish, FlowState, Scales
+from fishrl.physics import C_START, Boundaries, Coupling, Fish, FlowConfig, FlowState, Free, Scales
 from fishrl.physics.bodies.motion import Bending
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.cases import make_swimmer_config
-from fishrl.physics.flow import make_params, make_rest
+from fishrl.physics.flow import FlowParams, make_params, make_rest, make_uniform
 from fishrl.physics.rollout import estimate_memory, simulate
 
 SCALES = Scales.from_budget(body_length=16, reynolds=300.0, max_wall_speed=0.15)
-ONE = torch.ones(1, dtype=torch.float64)
 PERIOD = 4 * round(SCALES.period / 4)
 
 
-def swim(values: Tensor, coupling: Coupling, num_steps: int, **settings: Any) -> Tensor:
-    """Return place and work of a free fish; values: tau, frequency, amplitude, bend, x, heading."""
-    tau, frequency, amplitude, bend, x, heading = values.unbind()
-    fish = Fish(body_length=16, motion=Bending(), **coupling.body_settings)
+def make_flows(fish: Fish, coupling: Coupling, num: int) -> tuple[FlowConfig, FlowParams]:
     config = make_swimmer_config(
-        SCALES, length_bl=4, height_bl=3, bodies=(fish,), coupling=coupling
-    )
-    params = make_params([config])._replace(tau=tau[None])
-    place = torch.stack((x, 24.3 * torch.ones_like(x)))[None]
-    body = make_body(place, heading[None], frequency[None])
-    body = body._replace(amplitude=amplitude[None], amplitude_goal=amplitude[None], beats=2 * ONE)
+        SCALES, length_bl=4, height_bl=3, bodies=(fish,), coupling=coupling,
+        boundaries=Boundaries.make_stream(), stream_speed=0.01,
+    )  # fmt: skip
+    return config, make_params([config] * num)
+
+
+def measure(state: FlowState) -> Tensor:
+    """Return x, y and work of the fish, ``[B, 3]``."""
+    (body,) = state.bodies
+    return torch.cat((body.position, body.work[:, None]), 1)
+
+
+def swim(values: Tensor, coupling: Coupling, num_steps: int, **settings: Any) -> Tensor:
+    """Return ``measure`` of free fish in a stream; values ``[B, 10]`` are those of ``SWIM``."""
+    tau, speed, frequency, amplitude, x, heading = values[:, :6].unbind(1)
+    one = torch.ones_like(x)
+    fish = Fish(body_length=16, motion=Bending(), **coupling.body_settings)
+    config, params = make_flows(fish, coupling, len(values))
+    params = params._replace(tau=tau, stream_speed=speed)
+    body = make_body(torch.stack((x, 24.3 * one), 1), heading, frequency)
+    body = body._replace(amplitude=amplitude, amplitude_goal=amplitude, beats=2.0 * one)
 
     def turn(number: int, state: FlowState) -> FlowState:
         (body,) = state.bodies
-        command = {"turn": bend[None] * (-1.0) ** number, "turn_clock": 0 * ONE}
-        body = body._replace(**command, turn_steps=4 * PERIOD * ONE)
-        return state._replace(bodies=(body,))
+        command = {"turn": values[:, 6 + number], "turn_clock": 0.0 * one}
+        return state._replace(bodies=(body._replace(**command, turn_steps=4 * PERIOD * one),))
 
-    state = FlowState(make_rest(config, 1), (body,))
+    rest = torch.zeros(len(values), config.height, config.width, dtype=values.dtype)
+    state = FlowState(make_uniform(rest, rest + speed[:, None, None], rest), (body,))
     _, path = simulate(
         state, config, params, num_steps=num_steps, interval=num_steps // 4, control=turn,
-        record=lambda state: torch.cat((state.bodies[0].position[0], state.bodies[0].work)),
-        **settings,
+        record=measure, **settings,
     )  # fmt: skip
     assert path is not None
     return path[-1]
 
 
-AT = torch.tensor([0.53, 1.0 / SCALES.period, 0.9, 0.2, 32.2, 3.2], dtype=torch.float64)
+def escape(values: Tensor, coupling: Coupling, num_steps: int) -> Tensor:
+    """Return ``measure`` of free larvae after a C-start of the numbers ``[B, 8]`` of ``ESCAPE``."""
+    larva = Fish(body_length=16, motion=Free(), strokes=C_START, **coupling.body_settings)
+    config, params = make_flows(larva, coupling, len(values))
+    (own,) = params.bodies
+    back = torch.cat((-values[:, :3], torch.zeros_like(values[:, :4])), 1)
+    curve = own.curve._replace(change=torch.stack((values[:, :7], back), 1), phase=values[:, 7])
+    params = params._replace(stream_speed=0.0 * values[:, 0], bodies=(own._replace(curve=curve),))
+    one = torch.ones_like(values[:, 0])
+    place = torch.stack((32.2 * one, 24.3 * one), 1)
+    body = make_body(place, math.pi * one, one / (25 * 16))._replace(beats=0.5 * one)
+    state = FlowState(make_rest(config, len(values)), (body,))
+    return measure(simulate(state, config, params, num_steps=num_steps)[0])
 
 
-@pytest.mark.parametrize("num_steps", [20, pytest.param(PERIOD, marks=pytest.mark.slow)])
+STROKE = C_START.sequence[0]
+SWIM = [SCALES.tau, 0.01, 1.0 / SCALES.period, 0.9, 32.2, 3.2, 0.2, -0.1, 0.15, 0.1]
+ESCAPE = [*STROKE.bend, *STROKE.wave, STROKE.lag, C_START.phase]
+ALIKE = torch.tensor([[0.3, 1.0, 0.01]], dtype=torch.float64)  # x, y and work
+
+
+@pytest.mark.parametrize(
+    ("motion", "at", "num_steps"),
+    [
+        (swim, SWIM, 20),
+        (escape, ESCAPE, 20),
+        pytest.param(swim, SWIM, PERIOD, marks=pytest.mark.slow),
+        pytest.param(escape, ESCAPE, 400, marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("coupling", [Coupling.IMPLICIT, Coupling.BOUNCE_BACK])
-def test_gradients_equal_central_differences(coupling: Coupling, num_steps: int) -> None:
-    """Through a quarter of a beat, and through a whole one."""
-    got = torch.autograd.functional.jacobian(lambda p: swim(p, coupling, num_steps), AT)
+def test_gradients_equal_central_differences(
+    motion: Any, at: list[float], num_steps: int, coupling: Coupling
+) -> None:
+    """Of viscosity, stream, gait, place, bends and strokes, through part of a beat or all."""
+    values = torch.tensor([at], dtype=torch.float64, requires_grad=True)
+    got = torch.autograd.grad((motion(values, coupling, num_steps) * ALIKE).sum(), values)[0][0]
+    shift = torch.diag((1e-5 * values[0].detach().abs()).clamp(max=3e-6))
     with torch.no_grad():
-        for number, value in enumerate(AT):
-            shift = torch.zeros(6, dtype=torch.float64)
-            shift[number] = 1e-7 * max(1e-2, float(value))
-            rise = swim(AT + shift, coupling, num_steps) - swim(AT - shift, coupling, num_steps)
-            rise = rise / (2.0 * shift[number])
-            error = (got[:, number] - rise).abs().max() / rise.abs().max()
-            assert rise.abs().max() > 1e-6
-            assert error < 1e-5, (number, error)
+        there = (motion(values + torch.cat((shift, -shift)), coupling, num_steps) * ALIKE).sum(1)
+    rise = (there[: len(at)] - there[len(at) :]) / (2.0 * shift.diagonal())
+    assert rise.abs().min() > 1e-6
+    assert ((got - rise) / rise).abs().max() < 1e-5
 
 
 def test_segments_change_memory_and_not_the_gradient() -> None:
+    values = torch.tensor([SWIM], dtype=torch.float64, requires_grad=True)
     whole, parts = (
-        torch.autograd.functional.jacobian(
-            lambda p, size=size: swim(p, Coupling.IMPLICIT, 20, segment=size), AT
-        )
+        torch.autograd.grad(swim(values, Coupling.IMPLICIT, 20, segment=size).sum(), values)[0]
         for size in (20, 5)
     )
     assert torch.equal(whole, parts)
     fish = Fish(body_length=16)
     config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, bodies=(fish,))
+    one = torch.ones(1, dtype=torch.float64)
     place = torch.tensor([[32.0, 24.0]], dtype=torch.float64)
-    state = FlowState(make_rest(config, 1), (make_body(place, math.pi * ONE, ONE / PERIOD),))
+    state = FlowState(make_rest(config, 1), (make_body(place, math.pi * one, one / PERIOD),))
     few, many = (estimate_memory(state, config, num_steps=n)[0] for n in (100, 10_000))
     assert 5.0 < many / few < 15.0  # as the square root
     assert estimate_memory(state, config, num_steps=1)[0] > 9 * 8 * config.width * config.height
