@@ -6,8 +6,9 @@ of a segment are repeated when the gradient reaches it (Griewank & Walther 2000,
 that N steps need memory in proportion to sqrt(N), 0.2 GB for that beat. Each step is made twice.
 """
 
-from collections.abc import Callable
-from math import ceil, sqrt
+from collections.abc import Callable, Sequence
+from functools import cache
+from math import ceil, inf, sqrt
 from typing import TypeVar
 
 import torch
@@ -15,6 +16,7 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 from torch.utils.checkpoint import checkpoint
 
+from fishrl.physics.fast.compiled import compile_differentiable
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, make_params
 from fishrl.physics.step import step
 
@@ -31,6 +33,8 @@ def simulate(
     control: Callable[[int, FlowState], FlowState] | None = None,
     record: Callable[[FlowState], Tree] | None = None,
     segment: int | None = None,
+    max_bytes: float | None = None,
+    compile: bool = False,
 ) -> tuple[FlowState, Tree | None]:
     """Advance a batch of flows by many readable steps, differentiably.
 
@@ -38,6 +42,9 @@ def simulate(
     all of ``params`` (viscosity by ``tau``, streams, outlines, gaits); gradients reach whatever of
     these requires them, and whatever ``control`` uses. They are exact but for the nodes that a
     body covers or leaves in between, where a sharp skin jumps.
+
+    ``torch.func.jvp``, ``jacfwd`` and ``vmap`` work, and the forward derivatives need no memory;
+    ``torch.func.grad``, ``vjp`` and ``jacrev`` need ``segment=num_steps``.
 
     Args:
         state: populations ``[B, Q, Y, X]``, float32 or float64, and bodies.
@@ -51,21 +58,40 @@ def simulate(
         record: called with the state at the end of each interval; returns tensors.
         segment: steps between the states that are kept for the gradient; by default about the
             square root of N. N keeps everything and repeats nothing.
+        max_bytes: memory that may be kept for the gradient; the segment is then the one that needs
+            least. None checks nothing.
+        compile: compile the step and its gradient at the first call for this configuration and
+            number of flows, for minutes; then one flow of 64 x 48 nodes is ten times faster. For
+            ``backward`` and ``torch.autograd.grad`` alone.
 
     Returns:
         The state after N steps, and what ``record`` returned, with a new first axis ``[N /
         interval, ...]``; None without it.
 
     Raises:
-        ValueError: for numbers of steps that do not fit together.
+        ValueError: for numbers of steps that do not fit together, populations of another type,
+            more memory than ``max_bytes``, or ``compile`` within a transform of ``torch.func``.
     """
     if interval < 1 or num_steps < interval or num_steps % interval:
         raise ValueError(
             f"num_steps = {num_steps}, interval = {interval}: num_steps must be a positive multiple"
             " of interval"
         )
+    if state.f.dtype not in (torch.float32, torch.float64):
+        raise ValueError(f"f is {state.f.dtype}: give float32 or float64, such as state.f.float()")
     if params is None:
         params = make_params([config] * len(state.f), state.f.device)
+    if max_bytes is not None:
+        least, segment = estimate_memory(state, config, params, num_steps=num_steps)
+        if least > max_bytes:
+            raise ValueError(
+                f"{num_steps} steps of {len(state.f)} flows keep at least {least / 1e9:.3g} GB for "
+                f"the gradient, max_bytes allows {max_bytes / 1e9:.3g}: give fewer steps, flows or "
+                "nodes, or float32"
+            )
+    if compile and torch._C._functorch.peek_interpreter_stack() is not None:
+        raise ValueError("compile = True: torch.func cannot see into it; give compile = False")
+    advance_once = _compile_step if compile else step
     num_intervals = num_steps // interval
     per_segment = max(1, round((segment or sqrt(num_steps)) / interval))
 
@@ -75,7 +101,7 @@ def simulate(
             if control is not None:
                 state = control(number, state)
             for _ in range(interval):
-                state = step(state, config, params)
+                state = advance_once(state, config, params)
             if record is not None:
                 noted.append(record(state))
         return state, noted
@@ -91,6 +117,34 @@ def simulate(
     if record is None:
         return state, None
     return state, pytree.tree_map(lambda *each: torch.stack(each), *records)
+
+
+_Leaves = Sequence[Tensor]
+
+
+@cache
+def _hold_steps(config: FlowConfig) -> dict[object, Callable[..., _Leaves]]:
+    """Return the compiled steps of a configuration, by the layout of their arguments."""
+    return {}
+
+
+def _compile_step(state: FlowState, config: FlowConfig, params: FlowParams) -> FlowState:
+    """Return ``step(state, config, params)``, compiled where it is new."""
+    if state.clock is None:
+        state = state._replace(clock=torch.full_like(params.ramp_steps, inf))
+    leaves, structure = pytree.tree_flatten((state, params))
+    leaves = [leaf.contiguous() for leaf in leaves]
+    layout = tuple((leaf.shape, leaf.dtype, leaf.device) for leaf in leaves)
+    held = _hold_steps(config)
+    if layout not in held:
+
+        def advance(*leaves: Tensor) -> _Leaves:
+            before, params = pytree.tree_unflatten(leaves, structure)
+            return pytree.tree_leaves(step(before, config, params))
+
+        held[layout] = compile_differentiable(advance, leaves)
+    after: FlowState = pytree.tree_unflatten(held[layout](*leaves), pytree.tree_structure(state))
+    return after
 
 
 def estimate_memory(

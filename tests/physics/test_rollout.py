@@ -16,12 +16,13 @@ from fishrl.physics.rollout import estimate_memory, simulate
 
 SCALES = Scales.from_budget(body_length=16, reynolds=300.0, max_wall_speed=0.15)
 PERIOD = 4 * round(SCALES.period / 4)
+EDGES = Boundaries.make_stream()
 
 
 def make_flows(fish: Fish, coupling: Coupling, num: int) -> tuple[FlowConfig, FlowParams]:
     config = make_swimmer_config(
         SCALES, length_bl=4, height_bl=3, bodies=(fish,), coupling=coupling,
-        boundaries=Boundaries.make_stream(), stream_speed=0.01,
+        boundaries=EDGES, stream_speed=0.01,
     )  # fmt: skip
     return config, make_params([config] * num)
 
@@ -117,6 +118,11 @@ def test_segments_change_memory_and_not_the_gradient() -> None:
     few, many = (estimate_memory(state, config, num_steps=n)[0] for n in (100, 10_000))
     assert 5.0 < many / few < 15.0  # as the square root
     assert estimate_memory(state, config, num_steps=1)[0] > 9 * 8 * config.width * config.height
+    simulate(state, config, num_steps=1, max_bytes=many)
+    with pytest.raises(ValueError, match="give fewer steps, flows or nodes, or float32"):
+        simulate(state, config, num_steps=10_000, max_bytes=0.9 * many)
+    with pytest.raises(ValueError, match="give float32"):
+        simulate(state._replace(f=state.f.half()), config, num_steps=1)
 
 
 @pytest.mark.parametrize(("num_steps", "interval"), [(0, 1), (3, 2), (2, 4), (2, 0)])
@@ -124,3 +130,21 @@ def test_numbers_of_steps_that_do_not_fit_are_refused(num_steps: int, interval: 
     config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, bodies=())
     with pytest.raises(ValueError, match="positive multiple"):
         simulate(FlowState(make_rest(config, 1)), config, num_steps=num_steps, interval=interval)
+
+
+@pytest.mark.parametrize("coupling", [Coupling.IMPLICIT, Coupling.BOUNCE_BACK])
+def test_functional_transforms(coupling: Coupling) -> None:
+    """Forward derivatives of rows that vmap batches, and reverse ones without segments."""
+    (values,) = torch.tensor([SWIM], dtype=torch.float64)
+
+    def go(values: Tensor) -> Tensor:
+        return swim(values[None], coupling, 4, segment=4)[0]
+
+    both = torch.stack((values, 1.01 * values))
+    torch.testing.assert_close(torch.func.vmap(go)(both), swim(both, coupling, 4))
+    forward, reverse = torch.func.jacfwd(go)(values), torch.func.jacrev(go)(values)
+    torch.testing.assert_close(forward, reverse, rtol=1e-9, atol=1e-12)
+    with pytest.raises(RuntimeError, match="saved tensor hooks"):
+        torch.func.grad(lambda v: swim(v[None], coupling, 20).sum())(values)
+    with pytest.raises(ValueError, match="give compile = False"):
+        torch.func.jvp(lambda v: swim(v, coupling, 4, compile=True), (both,), (both,))

@@ -19,7 +19,7 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from types import CellType
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -200,16 +200,53 @@ def _claim(path: Path) -> Iterator[None]:
         yield
 
 
+def compile_differentiable(
+    function: Callable[..., Sequence[Tensor]], example: Sequence[Tensor]
+) -> Callable[..., Sequence[Tensor]]:
+    """Compile ``function(*tensors)``, which changes none, and its gradient with respect to all.
+
+    Inductor's cache keeps the code; itself without a compiler. As for ``compile_inplace``, nothing
+    checks later that arguments have shapes, types and the contiguous layout of ``example``. There
+    is no forward-mode derivative.
+
+    Raises:
+        ChildProcessError: if the compiler fails.
+    """
+    from torch._inductor.compile_fx import compile_fx
+
+    device = example[0].device
+    if find_compiler_problem(device.type):
+        return function
+    twins = [t.detach().clone() for t in example]
+    eager = torch._functorch.config.patch(force_non_lazy_backward_lowering=True)
+    graph = _trace(function, twins)
+    with _set_up_inductor(device, {}), eager, _naming_failures(), torch.enable_grad():
+        twins = [t.requires_grad_(t.is_floating_point()) for t in twins]
+        return cast("Callable[..., Sequence[Tensor]]", compile_fx(graph, twins))
+
+
 def _compile(function: InPlaceFunction, example: Sequence[Tensor]) -> InPlaceFunction:
     from torch._inductor import standalone_compile
-    from torch.fx.experimental.proxy_tensor import make_fx
 
     twins = [_make_twin(t) for t in example]
-    graph = make_fx(function)(*twins)
-    try:
+    graph = _trace(function, twins)
+    with _naming_failures():
         return standalone_compile(graph, [*twins], dynamic_shapes="from_example_inputs", aot=True)
+
+
+def _trace(function: InPlaceFunction, example: Sequence[Tensor]) -> torch.fx.GraphModule:
+    from torch.fx.experimental.proxy_tensor import make_fx
+
+    return make_fx(function)(*example)
+
+
+@contextmanager
+def _naming_failures() -> Iterator[None]:
+    """Say in one line what the C++ compiler said."""
+    try:
+        yield
     except RuntimeError as error:
-        said = str(error).rpartition("Output:")[2].strip()  # by the C++ compiler
+        said = str(error).rpartition("Output:")[2].strip()
         raise ChildProcessError(f"the compiler failed: {said.partition(chr(10))[0]}") from error
 
 
