@@ -132,6 +132,16 @@ def test_numbers_of_steps_that_do_not_fit_are_refused(num_steps: int, interval: 
         simulate(FlowState(make_rest(config, 1)), config, num_steps=num_steps, interval=interval)
 
 
+@pytest.mark.slow  # compiles for minutes
+def test_compiled_steps_have_the_same_gradient() -> None:
+    values = torch.tensor([SWIM], dtype=torch.float64, requires_grad=True)
+    eager, fast = (
+        torch.autograd.grad(swim(values, Coupling.BOUNCE_BACK, 20, compile=c).sum(), values)[0]
+        for c in (False, True)
+    )
+    torch.testing.assert_close(fast, eager, rtol=1e-8, atol=0.0)
+
+
 @pytest.mark.parametrize("coupling", [Coupling.IMPLICIT, Coupling.BOUNCE_BACK])
 def test_functional_transforms(coupling: Coupling) -> None:
     """Forward derivatives of rows that vmap batches, and reverse ones without segments."""
