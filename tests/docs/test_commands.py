@@ -41,6 +41,7 @@ RUNS = {
     "runs/gammas/gamma_0.99-seed_1": ["gamma=0.99", "seed=1"],
     "runs/predation-boltzmann-seed0": ["algorithm._target_=boltzmann.Boltzmann"],
     "runs/holdstation-seed0": ["--config-dir=my_fish/conf", "task=hold_station"],
+    "runs/state": ["preset=gait_bend"],
     "its-folder": [],
 }
 
