@@ -10,6 +10,7 @@ import gzip
 import logging
 import os
 import platform
+import re
 import subprocess
 import sys
 import sysconfig
@@ -220,9 +221,9 @@ def compile_differentiable(
     twins = [t.detach().clone() for t in example]
     eager = torch._functorch.config.patch(force_non_lazy_backward_lowering=True)
     graph = _trace(function, twins)
-    with _set_up_inductor(device, {}), eager, _naming_failures(), torch.enable_grad():
+    with _set_up_inductor(device, {}), eager, torch.enable_grad():
         twins = [t.requires_grad_(t.is_floating_point()) for t in twins]
-        return cast("Callable[..., Sequence[Tensor]]", compile_fx(graph, twins))
+        return cast("InPlaceFunction", _make_whole(lambda: compile_fx(graph, twins)))
 
 
 def _compile(function: InPlaceFunction, example: Sequence[Tensor]) -> InPlaceFunction:
@@ -230,8 +231,9 @@ def _compile(function: InPlaceFunction, example: Sequence[Tensor]) -> InPlaceFun
 
     twins = [_make_twin(t) for t in example]
     graph = _trace(function, twins)
-    with _naming_failures():
-        return standalone_compile(graph, [*twins], dynamic_shapes="from_example_inputs", aot=True)
+    options: Any = {"dynamic_shapes": "from_example_inputs", "aot": True}
+    compiled = _make_whole(lambda: standalone_compile(graph, [*twins], **options))
+    return cast("InPlaceFunction", compiled)
 
 
 def _trace(function: InPlaceFunction, example: Sequence[Tensor]) -> torch.fx.GraphModule:
@@ -240,14 +242,26 @@ def _trace(function: InPlaceFunction, example: Sequence[Tensor]) -> torch.fx.Gra
     return make_fx(function)(*example)
 
 
-@contextmanager
-def _naming_failures() -> Iterator[None]:
-    """Say in one line what the C++ compiler said."""
-    try:
-        yield
-    except RuntimeError as error:
-        said = str(error).rpartition("Output:")[2].strip()
-        raise ChildProcessError(f"the compiler failed: {said.partition(chr(10))[0]}") from error
+def _make_whole(make: Callable[[], Any]) -> Any:
+    """Call Inductor; say in one line what the C++ compiler said if it fails.
+
+    A library that a killed compiler left unfinished is deleted and made again.
+    """
+    from torch._inductor.codecache import CppPythonBindingsCodeCache
+
+    while True:
+        try:
+            return make()
+        except RuntimeError as error:
+            damaged = re.search(r"ImportError: (\S+\.so): ", str(error))
+            if damaged is None or not Path(damaged[1]).exists():
+                said = str(error).rpartition("Output:")[2].strip()
+                raise ChildProcessError(
+                    f"the compiler failed: {said.partition(chr(10))[0]}"
+                ) from error
+            logger.warning("%s is damaged: compiling again", damaged[1])
+            Path(damaged[1]).unlink()
+            CppPythonBindingsCodeCache.cache_clear()
 
 
 def _reach_code(artefact: InPlaceFunction) -> InPlaceFunction:

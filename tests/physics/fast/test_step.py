@@ -181,6 +181,33 @@ def test_a_flipped_bit_in_stored_code_is_noticed(
     assert compiled_module._load(stored) is not None
 
 
+DOUBLE = """
+import torch
+from fishrl.physics.fast.compiled import compile_inplace
+x = torch.ones(3)
+print(compile_inplace(lambda x: (2.0 * x,), (x,), name="double")(x)[0].tolist())
+"""
+
+
+@pytest.mark.compile
+def test_a_library_that_a_killed_compiler_left_unfinished_is_made_again(tmp_path: Path) -> None:
+    """Killed after the linker wrote nothing or the header of it, before all else was stored."""
+    command, places = [sys.executable, "-c", DOUBLE], {"TORCHINDUCTOR_CACHE_DIR": str(tmp_path)}
+    for size in (None, 0, 100):
+        libraries = [*tmp_path.glob("fishrl/*/*/*.so")] if size is not None else []
+        for library in libraries:
+            library.write_bytes(library.read_bytes()[:size])
+            for stored in library.parents[1].glob("*.bin"):
+                stored.unlink()
+            for stored in ("fxgraph", "aotautograd"):
+                shutil.rmtree(library.parents[1] / stored, ignore_errors=True)
+        done = subprocess.run(
+            command, env=os.environ | places, check=True, capture_output=True, text=True
+        )
+        assert done.stdout.endswith("[2.0, 2.0, 2.0]\n")
+        assert len(libraries) == (size is not None) == ("is damaged" in done.stderr)
+
+
 def test_the_key_of_a_machine_has_its_instructions_and_its_compiler(tmp_path: Path) -> None:
     compiler, keys = tmp_path / "g++", []
     for flags in ("", "-march=bonnell", "-D__VERSION__='13'", ""):
