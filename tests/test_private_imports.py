@@ -16,6 +16,8 @@ PRIVATE = {
     "torch._inductor.runtime.cache_dir_utils.cache_dir": "physics/fast/compiled.py",
     "torch._inductor.runtime.cache_dir_utils.default_cache_dir": "physics/fast/compiled.py",
     "torch._inductor.standalone_compile.AOTCompiledArtifact": "physics/fast/compiled.py",
+    "torch._inductor.compile_fx.compile_fx": "physics/fast/compiled.py",
+    "torch._inductor.codecache.CppPythonBindingsCodeCache": "physics/fast/compiled.py",
     "torch.utils._pytree": "envs/streams.py, physics",
 }
 #: Private attributes of TorchRL's classes, by class, that their subclasses or callers here use.

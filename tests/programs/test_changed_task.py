@@ -85,7 +85,7 @@ def test_settings_of_the_task_that_are_not_given_stay_as_in_the_run(tmp_path: Pa
     ("argument", "said"),
     [
         ("task=predation task.stream.has_disc=false", "there is no 'task.stream'"),
-        ("task.num_stacked=3", "num_inputs = 28, the current one is 21"),
+        ("task.num_stacked=3", "num_inputs = 8, the current one is 6"),
         ("task._target_=fishrl.envs.Predation", "there is no 'task."),
         (
             "task.control={_target_:fishrl.envs.macro_actions.DirectFrequencies,"
