@@ -10,7 +10,7 @@ from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Predation
 from fishrl.envs.starts import place_fish, place_outline
-from fishrl.envs.tasks.food import LEADS_T
+from fishrl.envs.tasks.food import LEAD_T
 from tests.envs.conftest import SMALL, act, make_flows, starts_at
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -108,7 +108,7 @@ def test_each_episode_draws_its_own_path(seed: int) -> None:
         assert high - edge <= path[name].max() <= high + 1e-6
     age = torch.full((200,), 10.0 * task.scales.period)
     ahead = task.foresee_food(starts, age)
-    later = task.locate_food(starts, age + LEADS_T[7] * task.scales.period) / task.body_length
+    later = task.locate_food(starts, age + 7 * LEAD_T * task.scales.period) / task.body_length
     torch.testing.assert_close(ahead[:, 7], later.float())
     away = ahead - torch.tensor([task.food_x_bl, task.food_y_bl])
     speeds, tilt = ahead.diff(dim=1).norm(dim=-1) / 0.25, path["food_tilt"].deg2rad()

@@ -12,8 +12,8 @@ from fishrl.envs.task import AbstractTask
 
 #: Probability that the food first moves up.
 CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
-#: Times, in T from now, at which ``food_ahead`` has the place of the food.
-LEADS_T = torch.arange(0.0, 40.0, 0.25, dtype=torch.float64)
+#: ``food_ahead`` has so many places of the food, from now on at intervals of so many T.
+NUM_AHEAD, LEAD_T = 160, 0.25
 _Positive = Annotated[float, Field(ge=0, le=100)]
 _Angle = Annotated[float, Field(ge=-90, le=90)]
 
@@ -103,24 +103,26 @@ class AbstractFoodTask(AbstractTask):
 
         Ages ``[B, K]`` give ``[B, K, 2]``.
         """
-        path = {"food_direction": starts["food_direction"]}
-        for name, (least, _) in self.food_ranges.items():
-            path[name] = starts.get(name, torch.full_like(path["food_direction"], least))
-        columns = [value.view(-1, *(1,) * (age.dim() - 1)) for value in path.values()]
-        direction, low, high, tilt, still, speed = columns
+        shape = (-1, *(1,) * (age.dim() - 1))
+        direction = starts["food_direction"].view(shape)
+        low, high, tilt, still, speed = (
+            starts[name].view(shape) if name in starts else least
+            for name, (least, _) in self.food_ranges.items()
+        )
         span, offset = high - low, self.food_y_bl - low
         swum = speed * (age / self.scales.period - still).clamp(min=0.0)
         # A periodic path of length 2 span, folded at its middle.
         along = torch.where(direction > 0.0, offset + swum, 2.0 * span - offset + swum)
         along = torch.remainder(along, 2.0 * span)
-        height, tilt = low + torch.minimum(along, 2.0 * span - along), tilt.deg2rad()
-        rise = height - self.food_y_bl
+        height = low + torch.minimum(along, 2.0 * span - along)
+        rise, tilt = height - self.food_y_bl, torch.as_tensor(tilt, dtype=torch.float64).deg2rad()
         x, y = self.food_x_bl - tilt.sin() * rise, height - (1.0 - tilt.cos()) * rise
         return self.body_length * torch.stack((x, y), -1)
 
     def foresee_food(self, starts: TensorDictBase, age: Tensor) -> Tensor:
-        """Return the food's places from now on, at ``LEADS_T``: ``[B, K, 2]``, body lengths."""
-        ages = age[:, None] + LEADS_T.to(age.device) * self.scales.period
+        """Return the food's ``NUM_AHEAD`` places ``[B, K, 2]``, body lengths, every ``LEAD_T``."""
+        leads = torch.arange(NUM_AHEAD, device=age.device) * (LEAD_T * self.scales.period)
+        ages = age[:, None] + leads
         return (self.locate_food(starts, ages) / self.body_length).float()
 
     def draw_path(self, chance: Tensor) -> dict[str, Tensor]:
