@@ -115,9 +115,12 @@ class FrequencyControl(Settings, ABC):
         """Return what moves a fish with one decision per ``interval_T``."""
         return Commanded()
 
-    def bend(self, action: Tensor) -> Tensor:
-        """Return the commanded bend ``[B]`` in L, float64, positive for a turn to the left."""
-        raise NotImplementedError(f"{type(self).__name__} does not bend the fish")
+    def bend(self, action: Tensor) -> Tensor | None:
+        """Return the commanded bend ``[B]`` in L, float64, positive for a turn to the left.
+
+        None, the default, leaves the turn to a heading controller.
+        """
+        return None
 
     def mask(self, gear: Tensor) -> Tensor:
         """Return the legal actions ``[B, num_actions]``, bool; by default all."""

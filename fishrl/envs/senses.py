@@ -30,7 +30,10 @@ SenseName = Literal[
 
 
 DEFAULT_SENSES: tuple[SenseName, ...] = (
-    *("place", "drift", "water_velocity", "tail_beat"),
+    "place",
+    "drift",
+    "water_velocity",
+    "tail_beat",
     "flow_label",
 )
 
@@ -65,8 +68,10 @@ def list_senses(line: LateralLine, *, stream_speed_bl: float) -> dict[str, Sense
 
     def read_lateral_line(now: TensorDictBase) -> Tensor:
         signal, before = now["lateral_line"][:, -1], now["lateral_line_before"]
-        unit = torch.tensor(units, dtype=signal.dtype, device=signal.device)
-        return (torch.stack((signal, signal - before), 1) / unit).flatten(1)
+        both = torch.stack((signal, signal - before), 1).unbind(-1)
+        return torch.stack(
+            [part / unit for part, unit in zip(both, units, strict=True)], -1
+        ).flatten(1)
 
     num_signals = (1 if line.is_averaged else line.num_neuromasts) * len(line.features)
     return {

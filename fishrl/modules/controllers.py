@@ -19,9 +19,10 @@ from torch import Tensor
 CLOCKWISE, KEEP, COUNTER_CLOCKWISE = 0, 1, 2
 #: Numbers in one observation.
 NUM_FEATURES = 4
-#: Cruising speed of a fish, body lengths per tail beat, and radius of its tightest turn.
+#: Cruising speed of a fish, body lengths per tail beat, and radius of its tightest turn, of 15° per
+#: beat; of a fish of 50 nodes with the immersed boundary, and less than with a sharp skin.
 SWIM_SPEED_BL, TURN_RADIUS_BL = 0.4, 1.7
-#: Time between the places of the food that a task foresees.
+#: Time between the places of the food that a task foresees, as in ``envs.tasks.food``.
 LEAD_T = 0.25
 
 

@@ -122,7 +122,7 @@ def make_pursuit(task: Any, seed: int) -> PursuitPolicy:
 
 @baseline("intercept", Predation)
 def make_intercept(task: Any, seed: int) -> InterceptPolicy:
-    """Make interception of the food, whose path it is told."""
+    """Make interception of the food, whose path the task reports."""
     is_continuous = task.action_bounds is not None
     return InterceptPolicy(turn=math.radians(task.turn_degrees), is_continuous=is_continuous)
 

@@ -11,6 +11,7 @@ from tensordict import TensorDict
 from fishrl.envs import FlowEnv, Predation
 from fishrl.envs.starts import place_fish, place_outline
 from fishrl.envs.tasks.food import LEAD_T
+from fishrl.modules import controllers
 from tests.envs.conftest import SMALL, act, make_flows, starts_at
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -108,6 +109,7 @@ def test_each_episode_draws_its_own_path(seed: int) -> None:
         assert high - edge <= path[name].max() <= high + 1e-6
     age = torch.full((200,), 10.0 * task.scales.period)
     ahead = task.foresee_food(starts, age)
+    assert LEAD_T == controllers.LEAD_T
     later = task.locate_food(starts, age + 7 * LEAD_T * task.scales.period) / task.body_length
     torch.testing.assert_close(ahead[:, 7], later.float())
     away = ahead - torch.tensor([task.food_x_bl, task.food_y_bl])

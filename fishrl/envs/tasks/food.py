@@ -4,7 +4,7 @@ from math import radians, sin
 from typing import Annotated, Literal
 
 import torch
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, NonNegativeFloat
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -14,7 +14,7 @@ from fishrl.envs.task import AbstractTask
 CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
 #: ``food_ahead`` has so many places of the food, from now on at intervals of so many T.
 NUM_AHEAD, LEAD_T = 160, 0.25
-_Positive = Annotated[float, Field(ge=0, le=100)]
+_Speed = Annotated[float, Field(ge=0, le=100)]
 _Angle = Annotated[float, Field(ge=-90, le=90)]
 
 
@@ -56,8 +56,10 @@ class AbstractFoodTask(AbstractTask):
         Annotated[float | tuple[float, float], _IsRange],
     ] = (1.5, 3.5)
     food_tilt_degrees: Annotated[_Angle | tuple[_Angle, _Angle], _IsRange] = 0.0
-    food_still_T: Annotated[_Positive | tuple[_Positive, _Positive], _IsRange] = 5.0
-    food_speed_bl: Annotated[_Positive | tuple[_Positive, _Positive], _IsRange] = 0.3
+    food_still_T: Annotated[
+        NonNegativeFloat | tuple[NonNegativeFloat, NonNegativeFloat], _IsRange
+    ] = 5.0
+    food_speed_bl: Annotated[_Speed | tuple[_Speed, _Speed], _IsRange] = 0.3
     food_direction: Literal["up", "down", "random"] = "up"
 
     def __post_init__(self) -> None:
@@ -126,7 +128,11 @@ class AbstractFoodTask(AbstractTask):
         return (self.locate_food(starts, ages) / self.body_length).float()
 
     def draw_path(self, chance: Tensor) -> dict[str, Tensor]:
-        """Draw the food's direction and the ranges of its path, of random numbers ``[E, ...]``."""
+        """Draw the food's direction and what has a range on its path, for ``_make_starts``.
+
+        Args:
+            chance: random numbers ``[E, 1 + number of ranges]`` in [0, 1), float64.
+        """
         up, *others = chance.unbind(1)
         drawn = {"food_direction": torch.where(up < CHANCE_UP[self.food_direction], 1.0, -1.0)}
         for name, (low, high) in self.food_ranges.items():

@@ -191,8 +191,9 @@ class KarmanGait(AbstractSensingTask, HasHistory, HasScene):
         if not ((flow >= 0) & (flow < num)).all():
             raise ValueError(f"flow_class = {flow.tolist()}: allowed is 0 to {num - 1}")
         _, frequency = self.control.choose(before["gear"], action, flow)
-        is_bending = self.control.bend_bl > 0.0
-        turn = self.control.bend(action) if is_bending else self.steering.turn(before["steering"])
+        turn = self.control.bend(action)
+        if turn is None:
+            turn = self.steering.turn(before["steering"])
         return Command(turn, frequency / self.scales.period)
 
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
