@@ -245,6 +245,11 @@ class BendControl(FrequencyControl):
     bend_bl: Annotated[float, Field(gt=0, le=0.5)] = 0.3
     response_T: PositiveFloat = 0.3
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.beat.bend_bl:
+            raise ValueError("beat bends the body itself: give a control of the tail beat alone")
+
     @property
     def rows(self) -> tuple[tuple[float, ...], ...]:
         """Those of ``beat``."""
@@ -257,8 +262,8 @@ class BendControl(FrequencyControl):
 
     @property
     def start_gear(self) -> int:
-        """As of ``beat``."""
-        return self.beat.start_gear
+        """As of ``beat``, unless ``first_gear`` is given here."""
+        return self.beat.start_gear if self.first_gear is None else self.first_gear
 
     @property
     def action_names(self) -> tuple[str, ...]:

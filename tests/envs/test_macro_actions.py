@@ -1,6 +1,7 @@
 """Gears and rows of frequencies; the environment shifts them in ``test_karman_gait``."""
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -65,7 +66,13 @@ def test_discrete_bends_combine_with_every_action_of_the_beat() -> None:
             strict=True,
         ):
             assert torch.equal(mine, its)
-        assert control.bend(actions).tolist() == pytest.approx([0.2 * (1 - turn)] * 3)
+        bend = control.bend(actions)
+        assert bend is not None and bend.tolist() == pytest.approx([0.2 * (1 - turn)] * 3)
+
+
+@pytest.mark.parametrize(("own", "of_beat", "expected"), [(None, None, 2), (None, 1, 1), (3, 1, 3)])
+def test_the_first_gear_of_a_fish_that_bends(own: Any, of_beat: Any, expected: int) -> None:
+    assert BendControl(beat=MacroActions(first_gear=of_beat), first_gear=own).start_gear == expected
 
 
 def test_continuous_bend_precedes_the_frequency() -> None:
@@ -74,7 +81,8 @@ def test_continuous_bend_precedes_the_frequency() -> None:
     assert control.action_bounds == ((-0.2, 0.2), (0.5, 2.0)) and len(control.action_names) == 2
     action = torch.tensor([[0.1, 0.7]], dtype=torch.float64)
     _, frequency = control.choose(torch.tensor([0]), action, torch.tensor([0]))
-    assert control.bend(action).tolist() == [0.1] and frequency.tolist() == [0.7]
+    bend = control.bend(action)
+    assert bend is not None and bend.tolist() == [0.1] and frequency.tolist() == [0.7]
 
 
 @pytest.mark.parametrize(
@@ -83,6 +91,7 @@ def test_continuous_bend_precedes_the_frequency() -> None:
         (lambda: MacroActions(rows=((1, 2), (1, 2, 3))), r"have \[2, 3\] frequencies: give all"),
         (lambda: MacroActions(rows=((2.0, 1.0),)), "must be rising"),
         (lambda: MacroActions(rows=ROWS, first_gear=4), "first_gear = 4: .*0 to 3"),
+        (lambda: BendControl(beat=BendControl()), "give a control of the tail beat alone"),
         (
             lambda: ContinuousFrequency(frequency_range=(2.0, 1.0)),
             "frequency_range = .*must be rising",
