@@ -41,7 +41,8 @@ def simulate(
     The result depends smoothly on populations, bodies (places, phases, frequencies, bends), and on
     all of ``params`` (viscosity by ``tau``, streams, outlines, gaits); gradients reach whatever of
     these requires them, and whatever ``control`` uses. They are exact but for the nodes that a
-    body covers or leaves in between, where a sharp skin jumps.
+    body covers or leaves in between, where a sharp skin jumps: those of a C-start's strokes were up
+    to 6 % off central differences after 400 steps, those of a tail beat less than 1e-5.
 
     ``torch.func.jvp``, ``jacfwd`` and ``vmap`` work, and the forward derivatives need no memory;
     ``torch.func.grad``, ``vjp`` and ``jacrev`` need ``segment=num_steps``.
