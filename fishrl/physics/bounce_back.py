@@ -296,12 +296,14 @@ def _uncover_(
     speed = (f * cx).sum(1, keepdim=True) / rho, (f * cy).sum(1, keepdim=True) / rho
     ux, uy = (to_links(part, links).to(f)[:, None] for part in skin.unbind(-1))
     change = _expand(cx, cy, ux, uy) - _expand(cx, cy, *speed)
-    for k in (0, 1):  # one after the other: a node with cut links along both is written twice
-        to_x, to_y, values, where = (
-            part[..., k, :]
-            for part in (x - own_x, y - own_y, f + w * rho * change, is_new[:, None])
+    # a link after the other: in one write, a node with several would have several values, of which
+    # one is kept and all get its gradient
+    for k, side in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        is_here = is_new[:, k] & ((links.cx + links.cy)[:, k] == side)
+        to_x, to_y, values = (
+            part[..., k, :] for part in (x - own_x, y - own_y, f + w * rho * change)
         )
-        slots.write_(to_x, to_y, q[..., 0], values, where)
+        slots.write_(to_x, to_y, q[..., 0], values, is_here[:, None])
 
 
 def _expand(cx: Tensor, cy: Tensor, ux: Tensor, uy: Tensor) -> Tensor:

@@ -1,6 +1,7 @@
 """Gradients through many steps, against central differences in float64."""
 
 import math
+from functools import partial
 from typing import Any
 
 import pytest
@@ -58,8 +59,18 @@ def swim(values: Tensor, coupling: Coupling, num_steps: int, **settings: Any) ->
     return path[-1]
 
 
-def escape(values: Tensor, coupling: Coupling, num_steps: int) -> Tensor:
-    """Return ``measure`` of free larvae after a C-start of the numbers ``[B, 8]`` of ``ESCAPE``."""
+def escape(
+    values: Tensor,
+    coupling: Coupling,
+    num_steps: int,
+    *,
+    beats: float = 0.5,
+    place: tuple[float, float, float] = (32.2, 24.3, math.pi),
+) -> Tensor:
+    """Return ``measure`` of free larvae after part of a C-start, from ``place`` x, y and heading.
+
+    values ``[B, 8]`` are those of ``ESCAPE``.
+    """
     larva = Fish(body_length=16, motion=Free(), strokes=C_START, **coupling.body_settings)
     config, params = make_flows(larva, coupling, len(values))
     (own,) = params.bodies
@@ -67,8 +78,8 @@ def escape(values: Tensor, coupling: Coupling, num_steps: int) -> Tensor:
     curve = own.curve._replace(change=torch.stack((values[:, :7], back), 1), phase=values[:, 7])
     params = params._replace(stream_speed=0.0 * values[:, 0], bodies=(own._replace(curve=curve),))
     one = torch.ones_like(values[:, 0])
-    place = torch.stack((32.2 * one, 24.3 * one), 1)
-    body = make_body(place, math.pi * one, one / (25 * 16))._replace(beats=0.5 * one)
+    x, y, heading = (part * one for part in place)
+    body = make_body(torch.stack((x, y), 1), heading, one / (25 * 16))._replace(beats=beats * one)
     state = FlowState(make_rest(config, len(values)), (body,))
     return measure(simulate(state, config, params, num_steps=num_steps)[0])
 
@@ -79,8 +90,9 @@ ESCAPE = [*STROKE.bend, *STROKE.wave, STROKE.lag, C_START.phase]
 ALIKE = torch.tensor([[0.3, 1.0, 0.01]], dtype=torch.float64)  # x, y and work
 
 
+#: Here a bent larva leaves a node from both sides in the second step.
+unfold = partial(escape, beats=1.3542068, place=(32.2659817, 24.6740978, 5.9995065))
 SOFT, SHARP = Coupling.IMPLICIT, Coupling.BOUNCE_BACK
-MISSED = pytest.mark.xfail(reason="up to 6.3 % off: cause unknown")
 
 
 @pytest.mark.parametrize(
@@ -88,10 +100,11 @@ MISSED = pytest.mark.xfail(reason="up to 6.3 % off: cause unknown")
     [
         *((swim, SWIM, 20, coupling) for coupling in (SOFT, SHARP)),
         *((escape, ESCAPE, 20, coupling) for coupling in (SOFT, SHARP)),
+        (unfold, ESCAPE, 8, SHARP),
         pytest.param(swim, SWIM, PERIOD, SOFT, marks=pytest.mark.slow),
         pytest.param(swim, SWIM, PERIOD, SHARP, marks=pytest.mark.slow),
         pytest.param(escape, ESCAPE, 400, SOFT, marks=pytest.mark.slow),
-        pytest.param(escape, ESCAPE, 400, SHARP, marks=[pytest.mark.slow, MISSED]),
+        pytest.param(escape, ESCAPE, 400, SHARP, marks=pytest.mark.slow),
     ],
 )
 def test_gradients_equal_central_differences(
@@ -100,7 +113,9 @@ def test_gradients_equal_central_differences(
     """Of viscosity, stream, gait, place, bends and strokes, through part of a beat or all."""
     values = torch.tensor([at], dtype=torch.float64, requires_grad=True)
     got = torch.autograd.grad((motion(values, coupling, num_steps) * ALIKE).sum(), values)[0][0]
-    shift = torch.diag((1e-5 * values[0].detach().abs()).clamp(max=3e-6))
+    # a sharp skin has kinks where a node comes to lie half a link away: stay between them
+    largest = 2e-7 if coupling is SHARP and num_steps > 20 else 3e-6
+    shift = torch.diag((1e-5 * values[0].detach().abs()).clamp(max=largest))
     with torch.no_grad():
         there = (motion(values + torch.cat((shift, -shift)), coupling, num_steps) * ALIKE).sum(1)
     rise = (there[: len(at)] - there[len(at) :]) / (2.0 * shift.diagonal())
