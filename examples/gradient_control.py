@@ -1,13 +1,13 @@
-"""A fish learns to bend and beat towards food: by gradients through the flow, and by SAC.
+"""A fish learns to bend and beat its way to a place: by gradients through the flow, and by SAC.
 
-    python examples/gradient_control.py shac --seed 0 --minutes 5   # writes shac-0.json
-    python examples/gradient_control.py sac --seed 0 --minutes 5
-    python examples/gradient_control.py steer                       # the hand-crafted controller
-    python examples/gradient_control.py horizons                    # gradient against horizon
+    python examples/gradient_control.py shac     # three seeds, 2.5 CPU-minutes each
+    python examples/gradient_control.py sac
+    python examples/gradient_control.py steer    # the hand-crafted controller
+    python examples/gradient_control.py slopes   # gradients against slopes, by horizon
     python examples/gradient_control.py figure
 
-Both learn the same task with the same policy network for the same CPU time, all processes counted
-(on Linux), and are evaluated in the same ``FlowEnv`` from the same held-out starts.
+Both learn the same task with the same policy network for the same CPU time, all processes counted,
+and are evaluated in the same ``FlowEnv`` from the same held-out starts.
 """
 
 import argparse
@@ -23,11 +23,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, ClassVar, NamedTuple
 
+import psutil
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torch.utils import _pytree as pytree
 from torchrl.modules import MLP, ProbabilisticActor
+from torchrl.objectives.value.functional import vec_td_lambda_return_estimate
 
 from fishrl.envs import AbstractTask, Command, make_env, run_episodes
 from fishrl.envs.checks import scale_action
@@ -38,15 +40,16 @@ from fishrl.envs.starts import place_fish
 from fishrl.modules import make_continuous_actor
 from fishrl.physics import Fish
 from fishrl.physics.bodies.state import BodyState, make_body
-from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, make_params, make_rest
+from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.physics.flow import Coupling, FlowConfig, FlowParams, FlowState, make_params, make_rest
 from fishrl.physics.geometry import locate_markers
 from fishrl.physics.rollout import simulate
-from fishrl.training import Callback, LearningSettings, Plan, RunSettings, begin
+from fishrl.training import Callback, Plan, begin
 from fishrl.training.algorithms.sac import SAC
 
 
 class Approach(AbstractTask):
-    """Reach food at rest somewhere ahead, in a tank of still water, by bend and tail beat."""
+    """Bring the centre of mass to a place ahead, in still water, by bend and tail beat."""
 
     success: ClassVar[str] = "reached"
     n_obs: ClassVar[int] = 9
@@ -56,17 +59,19 @@ class Approach(AbstractTask):
     body_length: int = 16
     reynolds: float = 500.0
     max_wall_speed: float = 0.15
-    domain_bl: tuple[float, float] = (4.0, 4.0)
+    domain_bl: tuple[float, float] = (3.0, 3.0)
     wall_margin_bl: float = 0.16
     num_stacked: int = 1
     time_limit: int = 20
     control_interval_T: float = 0.5
     checks_per_action: int = 21
     control: FrequencyControl = BendControl(beat=ContinuousFrequency(frequency_range=(0.5, 1.0)))
-    nose_bl: tuple[float, float] = (2.5, 2.0)
-    distance_bl: tuple[float, float] = (0.8, 1.6)
+    coupling: Coupling = Coupling.IMPLICIT
+    inset: float = 0.45
+    centre_bl: tuple[float, float] = (1.9, 1.5)
+    distance_bl: tuple[float, float] = (0.4, 0.8)
     angle_degrees: float = 50.0
-    reach_bl: float = 0.25
+    reach_bl: float = 0.15
     work_weight: float = 0.1
 
     @property
@@ -92,19 +97,20 @@ class Approach(AbstractTask):
     @cached_property
     def fish(self) -> Fish:
         """A free fish that bends."""
-        return replace(super().fish, motion=self.control.make_motion(self.control_interval_T))
+        motion = self.control.make_motion(self.control_interval_T)
+        return replace(super().fish, motion=motion, inset=self.inset)
 
     def starts_from(self, uniform: Tensor) -> TensorDict:
-        """Draw the food's distance and angle from the line ahead."""
+        """Draw the place's distance and its angle from the line ahead of the fish."""
         low, high = self.distance_bl
         distance = low + (high - low) * uniform[:, 0]
         angle = radians(self.angle_degrees) * (2.0 * uniform[:, 1] - 1.0)
-        head = uniform.new_tensor(self.nose_bl).expand(len(uniform), 2)
-        away = -distance[:, None] * torch.stack((angle.cos(), angle.sin()), -1)
+        centre = self.body_length * uniform.new_tensor(self.centre_bl).expand(len(uniform), 2)
+        ahead = torch.stack((-angle.cos(), -angle.sin()), -1)
         starts = {
-            "head": self.body_length * head,
+            "head": centre - uniform.new_tensor((self.fish.centre, 0.0)),
             "heading": torch.full_like(angle, pi),
-            "food": self.body_length * (head + away),
+            "goal": centre + self.body_length * distance[:, None] * ahead,
         }
         return TensorDict(starts, uniform.shape[:1], device=uniform.device)
 
@@ -113,9 +119,9 @@ class Approach(AbstractTask):
         bend, frequency = action.unbind(-1)
         return Command(bend, frequency / self.scales.period)
 
-    def measure(self, solver, starts: TensorDictBase) -> TensorDict:
-        """Measure the food from the nose, in the fish's frame, and the fish's own motion."""
-        body, markers, scales = solver.body, solver.markers(), self.scales
+    def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
+        """Measure the place from the fish, in its frame, and the fish's own motion."""
+        body, scales = solver.body, self.scales
         axis = body.heading + body.internal_angle
         cos, sin = axis.cos(), axis.sin()
 
@@ -123,29 +129,21 @@ class Approach(AbstractTask):
             x, y = vector.unbind(-1)
             return torch.stack((cos * x + sin * y, cos * y - sin * x), -1)
 
-        away = turn(starts["food"] - markers[:, 0]) / self.body_length
+        away = (starts["goal"] - body.position) / self.body_length
+        rates = (body.angular_velocity * scales.period, body.frequency * scales.period)
         now = {
-            "away": away,
-            "distance": (starts["food"] - markers[:, 0]).norm(dim=-1) / self.body_length,
+            "away": turn(away),
+            "distance": away.norm(dim=-1),
             "velocity": turn(body.velocity) / scales.reference_speed,
-            "rates": torch.stack(
-                (
-                    body.angular_velocity * scales.period,
-                    body.phase.sin(),
-                    body.phase.cos(),
-                    -body.bend,
-                    body.frequency * scales.period,
-                ),
-                -1,
-            ),
+            "own": torch.stack((*rates, body.phase.sin(), body.phase.cos(), -body.bend), -1),
             "work": body.work / (scales.reference_speed * self.body_length) ** 2,
-            "clearance": compute_clearance(markers, solver.config),
+            "clearance": compute_clearance(solver.markers(), solver.config),
         }
         return TensorDict(now, starts.batch_size)
 
     def sense(self, now: TensorDictBase) -> Tensor:
-        """Return place of the food, velocity, yaw rate, phase, bend and frequency, float64."""
-        return torch.cat((now["away"], now["velocity"], now["rates"]), -1)
+        """Return the place, velocity, yaw rate, frequency, phase and bend, float64."""
+        return torch.cat((now["away"], now["velocity"], now["own"]), -1)
 
     def observe(self, now: TensorDictBase) -> Tensor:
         """Return ``sense``."""
@@ -157,17 +155,17 @@ class Approach(AbstractTask):
         return before["distance"] - now["distance"] - work
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
-        """Return whether the food is reached or a wall is near."""
+        """Return whether the place is reached or a wall is near."""
         return (now["distance"] < self.reach_bl) | (now["clearance"] < self.wall_margin)
 
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
-        """Return how long the fish takes at least to a wall and to the food."""
-        to_food = (now["distance"] - self.reach_bl) * self.body_length
-        nearest = torch.minimum(now["clearance"] - self.wall_margin, to_food)
+        """Return how long the fish takes at least to a wall and to the place."""
+        to_goal = (now["distance"] - self.reach_bl) * self.body_length
+        nearest = torch.minimum(now["clearance"] - self.wall_margin, to_goal)
         return nearest / self.swimming_speed
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
-        """Return whether the food is reached."""
+        """Return whether the place is reached."""
         return {"reached": now["distance"] < self.reach_bl}
 
 
@@ -212,7 +210,8 @@ class Swimmers:
         self.generator, config = torch.Generator().manual_seed(seed), task.flow_config()
         self.starts = task.sample_starts(num_envs, self.generator)
         self.flows = Flows(config, make_params([config] * num_envs), self._make_rest(config))
-        self.now, self.age = task.measure(self.flows, self.starts), torch.zeros(num_envs)
+        self.now = task.measure(self.flows, self.starts)
+        self.age = torch.arange(num_envs) % task.time_limit  # so that not all end at once
 
     def _make_rest(self, config: FlowConfig) -> FlowState:
         """Return still water with the fish at their starts."""
@@ -232,10 +231,8 @@ class Swimmers:
         self.starts = fresh.apply(choose, self.starts)
         rest = self._make_rest(self.flows.config)
         self.flows = self.flows._replace(state=pytree.tree_map(choose, rest, self.flows.state))
-        self.now, self.age = (
-            self.task.measure(self.flows, self.starts),
-            self.age.masked_fill(rows, 0.0),
-        )
+        self.now = self.task.measure(self.flows, self.starts)
+        self.age = self.age.masked_fill(rows, 0)
 
     def detach_(self) -> None:
         """Forget how the flows came about, for gradients."""
@@ -245,10 +242,8 @@ class Swimmers:
     def step(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Take actions ``[B, 2]`` in [-1, 1]; return reward, terminated and done ``[B]``."""
         task, before, (config, params, state) = self.task, self.now, self.flows
-        command, num_steps = (
-            task.command(scale_action(action, task.action_bounds), before),
-            task.n_substeps,
-        )
+        command = task.command(scale_action(action, task.action_bounds), before)
+        num_steps = task.n_substeps
         fish = self.flows.body._replace(
             turn=command.turn,
             frequency=command.frequency,
@@ -263,10 +258,13 @@ class Swimmers:
             segment=num_steps,
             compile=self.compile,
         )
-        self.flows, self.age = self.flows._replace(state=state), self.age + 1.0
+        self.flows, self.age = self.flows._replace(state=state), self.age + 1
         self.now = task.measure(self.flows, self.starts)
         terminated = task.is_terminated(self.now)
         return task.reward(before, self.now), terminated, terminated | (self.age >= task.time_limit)
+
+
+Row = dict[str, Any]
 
 
 def _choose(rows: Tensor, new: Tensor, old: Tensor) -> Tensor:
@@ -283,7 +281,7 @@ class Settings:
     gamma: float = 0.95
     horizon: int = 4
     td_lambda: float = 0.95
-    actor_rate: float = 3e-3
+    actor_rate: float = 1e-2
     critic_rate: float = 3e-3
     critic_steps: int = 32
     noise: float = 0.2
@@ -291,29 +289,20 @@ class Settings:
     seed: int = 0
 
 
-class Window(NamedTuple):
-    """What a critic learns from, ``[horizon, B]``, without gradients."""
-
-    observation: Tensor  #: ``[horizon, B, n]``
-    after: Tensor  #: ``[horizon, B, n]`` before a reset
-    reward: Tensor
-    terminated: Tensor
-    done: Tensor
-
-
 def unroll(
     swimmers: Swimmers, actor: nn.Module, critic: nn.Module, settings: Settings
-) -> tuple[Tensor, Window]:
+) -> tuple[Tensor, TensorDict]:
     """Swim for one horizon; return the discounted return ``[B]`` to differentiate, and the data.
 
-    The critic continues the return at the horizon and where an episode runs out of time.
+    The critic continues the return at the horizon and where an episode runs out of time. The data
+    are ``[B, horizon]``, for the critic.
     """
     dtype, noted = swimmers.dtype, []
-    observation = swimmers.observe()
-    returned, weight = torch.zeros(2, swimmers.num_envs, dtype=dtype)
-    weight = weight + 1.0
+    returned = torch.zeros(swimmers.num_envs, dtype=dtype)
+    weight = torch.ones_like(returned)
     for number in range(settings.horizon):
-        loc = actor(TensorDict({"observation_stack": observation}, observation.shape[:1]))["loc"]
+        observation = swimmers.observe()
+        loc = actor(TensorDict({"observation_stack": observation}, [len(weight)]))["loc"]
         action = torch.tanh(loc + settings.noise * torch.randn_like(loc))
         reward, terminated, done = swimmers.step(action)
         reward, after = reward.to(dtype), swimmers.observe()
@@ -321,22 +310,13 @@ def unroll(
         value = critic(after).squeeze(-1).masked_fill(terminated | ~is_cut, 0.0)
         returned = returned + weight * (reward + settings.gamma * value)
         weight = torch.where(done, 1.0, settings.gamma * weight)
-        noted.append((observation.detach(), after.detach(), reward.detach(), terminated, done))
+        entries = {"observation": observation, "after": after}
+        flags = {"reward": reward, "terminated": terminated, "done": done}
+        columns = {name: value[:, None] for name, value in flags.items()}
+        noted.append(TensorDict(entries | columns, [len(weight)]).detach())
         if done.any():
             swimmers.reset_(done)
-        observation = swimmers.observe()
-    return returned, Window(*map(torch.stack, zip(*noted, strict=True)))
-
-
-def compute_targets(window: Window, critic: nn.Module, settings: Settings) -> Tensor:
-    """Return the TD(lambda) targets ``[horizon, B]`` of the critic."""
-    values, targets = critic(window.after).squeeze(-1), []
-    target, keep = values[-1], settings.td_lambda
-    for k in reversed(range(len(values))):
-        mixed = torch.where(window.done[k], values[k], (1.0 - keep) * values[k] + keep * target)
-        target = window.reward[k] + settings.gamma * mixed.masked_fill(window.terminated[k], 0.0)
-        targets.append(target)
-    return torch.stack(targets[::-1])
+    return returned, torch.stack(noted, 1)
 
 
 class OutOfTime(Exception):
@@ -354,7 +334,7 @@ class Watch(Callback):
         kept: CPU seconds, decisions and weights of each.
     """
 
-    def __init__(self, minutes: float, *, num: int = 6) -> None:
+    def __init__(self, minutes: float, *, num: int = 5) -> None:
         self.interval, self.num = 60.0 * minutes / num, num
         self.kept: list[tuple[float, int, dict[str, Any]]] = []
 
@@ -378,11 +358,10 @@ class Watch(Callback):
 
 def count_cpu_seconds() -> float:
     """Return the CPU time of this process and of those that advance flows or compile for it."""
-    seconds, me = sum(os.times()[:4]), os.getpid()
-    for child in Path(f"/proc/{me}/task/{me}/children").read_text().split():
-        with suppress(FileNotFoundError):
-            fields = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()
-            seconds += sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
+    seconds, me = sum(os.times()[:4]), psutil.Process()
+    for process in me.children(recursive=True):
+        with suppress(psutil.Error):  # it has ended
+            seconds += sum(process.cpu_times()[:2])
     return seconds
 
 
@@ -396,9 +375,13 @@ def make_policy(settings: Settings) -> ProbabilisticActor:
     )
 
 
-def train_shac(swimmers: Swimmers, actor: nn.Module, watch: Watch, settings: Settings) -> None:
-    """Ascend the return of short horizons by its gradient through the flow, until time is out."""
+def train_shac(watch: Watch, settings: Settings) -> None:
+    """Ascend the return of short horizons along its gradient, until ``watch`` ends it."""
     torch.manual_seed(settings.seed)
+    swimmers, actor = Swimmers(Approach(), settings.num_envs), make_policy(settings)
+    swimmers.step(torch.zeros(settings.num_envs, Approach.num_actions))  # compiles
+    swimmers.generator.manual_seed(settings.seed)
+    swimmers.reset_(swimmers.age >= 0)
     watch.start(actor)
     critic = MLP(Approach.n_obs, 1, num_cells=settings.hidden, activation_class=nn.SiLU)
     target = deepcopy(critic)
@@ -413,135 +396,166 @@ def train_shac(swimmers: Swimmers, actor: nn.Module, watch: Watch, settings: Set
         if norm.isfinite():
             of_actor.step()
         with torch.no_grad():
-            targets = compute_targets(window, target, settings)
+            goals = vec_td_lambda_return_estimate(
+                settings.gamma,
+                settings.td_lambda,
+                target(window["after"]),
+                window["reward"],
+                window["done"],
+                window["terminated"],
+            )
         for _ in range(settings.critic_steps):
-            loss = (critic(window.observation).squeeze(-1) - targets).square().mean()
+            loss = (critic(window["observation"]) - goals).square().mean()
             of_critic.zero_grad()
             loss.backward()
             of_critic.step()
         with torch.no_grad():
             for old, new in zip(target.parameters(), critic.parameters(), strict=True):
                 old.lerp_(new, 0.8)
-        watch.count(window.reward.numel())
+        watch.count(window.numel())
 
 
-def train_sac(task: Approach, watch: Watch, settings: Settings) -> ProbabilisticActor:
-    """Train with the project's loop and its defaults until time is out."""
-    learning = LearningSettings(
-        seed=settings.seed,
-        num_envs=settings.num_envs,
-        gamma=settings.gamma,
-        hidden=settings.hidden,
-    )
+def train_sac(watch: Watch, settings: Settings) -> None:
+    """Train with the project's loop and its defaults until ``watch`` ends it."""
+    never, shared = 10**9, ("seed", "num_envs", "gamma", "hidden")
     with TemporaryDirectory() as folder:
-        never = 10**9
-        run = RunSettings(
-            total_frames=never, eval_frames=never, checkpoint_frames=never, folder=folder
+        plan = Plan(
+            task=Approach(),
+            algorithm=SAC(),
+            folder=folder,
+            total_frames=never,
+            eval_frames=never,
+            checkpoint_frames=never,
+            **{name: getattr(settings, name) for name in shared},
         )
-        plan = Plan(task=task, algorithm=SAC(), **vars(learning), **vars(run))
-        with closing(begin(plan, callbacks=[watch])) as training, suppress(OutOfTime):
+        with closing(begin(plan, callbacks=[watch])) as training:
             watch.start(training.learner.actor)
             training.run()
-    return training.learner.actor
-
-
-def load(actor: nn.Module, weights: dict[str, Any]) -> nn.Module:
-    """Return the policy with these weights."""
-    actor.load_state_dict(weights)
-    return actor
 
 
 def steer(state: TensorDictBase) -> TensorDictBase:
-    """Bend in proportion to the bearing of the food, at full tail beat: the baseline."""
+    """Bend in proportion to the bearing of the place, at full tail beat: the baseline."""
     ahead, left = state["observation"].unbind(-1)[:2]
-    bend = torch.atan2(left, ahead).clamp(-1.0, 1.0)
+    bend = (2.0 * torch.atan2(left, ahead)).clamp(-1.0, 1.0)
     return state.set("action", torch.stack((bend, torch.ones_like(bend)), -1))
 
 
-def measure_horizons(swimmers: Swimmers, actor: nn.Module, num: int = 4) -> list[dict[str, float]]:
-    """Return norm, spread and cost of the return's gradient by horizon, from starts at rest.
-
-    The spread is the root-mean-square distance of the gradients of ``num`` batches from their mean.
-    """
-    rows = torch.ones(swimmers.num_envs, dtype=torch.bool)
-    measured = []
-    for horizon in (1, 2, 4, 8, 16):
-        settings, gradients = Settings(horizon=horizon, noise=0.0, gamma=1.0), []
-        times = [count_cpu_seconds()]
-        for _ in range(num):
-            swimmers.reset_(rows)
-            swimmers.detach_()
-            returned, _ = unroll(swimmers, actor, lambda seen: torch.zeros(len(seen), 1), settings)
-            times.append(count_cpu_seconds())
-            gradient = torch.autograd.grad(returned.mean(), [*actor.parameters()])
-            gradients.append(torch.cat([part.flatten() for part in gradient]))
-            times.append(count_cpu_seconds())
-        seconds, mean = (
-            torch.tensor(times).diff().view(num, 2).mean(0),
-            torch.stack(gradients).mean(0),
-        )
-        spread = (torch.stack(gradients) - mean).square().sum(1).mean().sqrt()
-        measured.append(
-            {
-                "horizon": horizon,
-                "norm": float(mean.norm()),
-                "spread": float(spread),
-                "forward_seconds": float(seconds[0]),
-                "backward_seconds": float(seconds[1]),
-            }
-        )
-    return measured
-
-
-def evaluate(task: Approach, policies: Iterable[Policy]) -> list[dict[str, float]]:
+def evaluate(policies: Iterable[Policy]) -> list[Row]:
     """Return the metrics of each policy from 32 held-out starts, in the env of SAC."""
+    task = Approach()
     starts = task.sample_starts(32, torch.Generator().manual_seed(10**6))
     with closing(make_env(task=task, num_envs=8)) as env:
         return [run_episodes(env, policy, starts).metrics() for policy in policies]
 
 
+def learn(method: str, *, seed: int, minutes: float) -> list[Row]:
+    """Train by a method and return the metrics of the policies along the way."""
+    watch, began = Watch(minutes), count_cpu_seconds()
+    with suppress(OutOfTime):
+        {"shac": train_shac, "sac": train_sac}[method](watch, Settings(seed=seed))
+
+    def recall(weights: dict[str, Any]) -> nn.Module:
+        watch.actor.load_state_dict(weights)
+        return watch.actor
+
+    metrics = evaluate(recall(weights) for _, _, weights in watch.kept)
+    return [
+        {
+            "seed": seed,
+            "set_up_seconds": watch.began - began,
+            "seconds": seconds,
+            "frames": n,
+            **own,
+        }
+        for (seconds, n, _), own in zip(watch.kept, metrics, strict=True)
+    ]
+
+
+def compare_slopes(coupling: Coupling, *, num: int = 8, compile: bool = True) -> list[Row]:
+    """Return how the return of a fish that swims straight rises with its tail beat, by horizon.
+
+    ``slope`` is the rise of the return from 65 to 85 % of the range of tail beats, divided by the
+    range between them in actions; ``gradient`` the mean of the derivatives at ``num`` beats there.
+    """
+    inset = 0.0 if coupling is Coupling.BOUNCE_BACK else Approach.inset
+    task = Approach(coupling=coupling, inset=inset, distance_bl=(0.8, 0.8), angle_degrees=0.0)
+    rows = []
+    for horizon in (1, 2, 4, 8, 12):
+        swimmers = Swimmers(task, num, compile=compile)
+        beat = torch.linspace(0.3, 0.7, num, requires_grad=True)
+        returned, began = torch.zeros(num), count_cpu_seconds()
+        for _ in range(horizon):
+            returned = returned + swimmers.step(torch.stack((torch.zeros(num), beat), 1))[0]
+        between = count_cpu_seconds()
+        (gradient,) = torch.autograd.grad(returned.sum(), beat)
+        ended, steps = count_cpu_seconds(), 1e-3 * horizon * task.n_substeps
+        rows.append(
+            {
+                "horizon_T": horizon * task.interval_T,
+                "slope": float((returned[-1] - returned[0]) / 0.4),
+                "gradient": float(gradient.mean()),
+                "forward_ms_per_step": (between - began) / steps,
+                "backward_ms_per_step": (ended - between) / steps,
+            }
+        )
+    return rows
+
+
+def draw(folder: Path, path: Path) -> None:
+    """Draw what ``main`` wrote: success by CPU time, and slopes and gradients by horizon."""
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.4), layout="constrained")
+    for method, colour in (("shac", "C0"), ("sac", "C1")):
+        rows = json.loads((folder / f"{method}.json").read_text())
+        for number, seed in enumerate(sorted({row["seed"] for row in rows})):
+            own = [row for row in rows if row["seed"] == seed]
+            minutes = [row["seconds"] / 60.0 for row in own]
+            shares = [row["success_rate"] for row in own]
+            left.plot(minutes, shares, color=colour, label=None if number else method.upper())
+    (steered,) = json.loads((folder / "steer.json").read_text())
+    left.axhline(steered["success_rate"], color="grey", ls="--", label="hand-crafted")
+    left.set(xlabel="CPU time [min]", ylabel="share of 32 places reached", ylim=(0.0, 1.0))
+    rows = json.loads((folder / "slopes.json").read_text())
+    for name, colour in (("implicit", "C0"), ("bounce-back", "C3")):
+        own = [row for row in rows if row["coupling"] == name]
+        times = [row["horizon_T"] for row in own]
+        right.plot(times, [abs(row["gradient"]) for row in own], color=colour, label=name)
+        right.plot(times, [abs(row["slope"]) for row in own], color=colour, ls=":")
+    right.set(xlabel="horizon [T]", ylabel="|d return / d tail beat|", yscale="log")
+    for axes in (left, right):
+        axes.legend()
+    figure.savefig(path, dpi=150)
+
+
 def main() -> None:
-    """Train and evaluate, and write the result."""
+    """Learn by a method, write the metrics and print them; or draw those written."""
     parser = argparse.ArgumentParser(description="Control by gradients through the flow, and SAC.")
-    parser.add_argument("method", choices=["shac", "sac", "steer", "horizons"])
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--minutes", type=float, default=4.0)
+    parser.add_argument("what", choices=["shac", "sac", "steer", "slopes", "figure"])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--minutes", type=float, default=2.5, help="CPU time of each training")
     parser.add_argument("--folder", type=Path, default=Path("runs/gradient_control"))
     chosen = parser.parse_args()
     torch.set_num_threads(1)
-    task, settings, began = Approach(), Settings(seed=chosen.seed), count_cpu_seconds()
-    actor, watch = make_policy(settings), Watch(chosen.minutes)
-    path = chosen.folder / f"{chosen.method}-{chosen.seed}.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if chosen.method in ("shac", "horizons"):
-        swimmers = Swimmers(task, settings.num_envs, seed=settings.seed)
-        swimmers.step(torch.zeros(settings.num_envs, 2))  # compiles
-        swimmers.reset_(torch.ones(settings.num_envs, dtype=torch.bool))
-    if chosen.method == "horizons":
-        result = measure_horizons(swimmers, actor)
-        weights = path.with_name(f"shac-{chosen.seed}.pt")
-        if weights.exists():
-            actor.load_state_dict(torch.load(weights))
-            result += measure_horizons(swimmers, actor)
-    elif chosen.method == "steer":
-        result = evaluate(task, [steer])
-    else:
-        if chosen.method == "shac":
-            with suppress(OutOfTime):
-                train_shac(swimmers, actor, watch, settings)
-        else:
-            actor = train_sac(task, watch, settings)
-        torch.save(actor.state_dict(), path.with_suffix(".pt"))
-        policies = (load(actor, weights) for _, _, weights in watch.kept)
-        result = [
-            {"set_up_seconds": watch.began - began, "seconds": seconds, "frames": frames, **metrics}
-            for (seconds, frames, _), metrics in zip(
-                watch.kept, evaluate(task, policies), strict=True
-            )
+    chosen.folder.mkdir(parents=True, exist_ok=True)
+    if chosen.what == "figure":
+        draw(chosen.folder, chosen.folder / "gradient_control.png")
+        return
+    if chosen.what == "steer":
+        rows = evaluate([steer])
+    elif chosen.what == "slopes":
+        rows = [
+            {"coupling": coupling.value, **row}
+            for coupling in (Coupling.IMPLICIT, Coupling.BOUNCE_BACK)
+            for row in compare_slopes(coupling)
         ]
-    path.write_text(json.dumps(result, indent=1))
-    for row in result:
-        print({name: round(value, 4) for name, value in row.items()})
+    else:
+        rows = []
+        for seed in chosen.seeds:
+            rows += learn(chosen.what, seed=seed, minutes=chosen.minutes)
+    (chosen.folder / f"{chosen.what}.json").write_text(json.dumps(rows, indent=1))
+    for row in rows:
+        print(row)
 
 
 if __name__ == "__main__":
