@@ -47,6 +47,9 @@ from fishrl.physics.rollout import simulate
 from fishrl.training import Callback, Plan, begin
 from fishrl.training.algorithms.sac import SAC
 
+#: What is known of a policy, or of a horizon.
+Row = dict[str, Any]
+
 
 class Approach(AbstractTask):
     """Bring the centre of mass to a place ahead, in still water, by bend and tail beat."""
@@ -211,7 +214,8 @@ class Swimmers:
         self.starts = task.sample_starts(num_envs, self.generator)
         self.flows = Flows(config, make_params([config] * num_envs), self._make_rest(config))
         self.now = task.measure(self.flows, self.starts)
-        self.age = torch.arange(num_envs) % task.time_limit  # so that not all end at once
+        self.age = torch.zeros(num_envs)
+        simulate(self.flows.state, config, self.flows.params, num_steps=1, compile=compile)
 
     def _make_rest(self, config: FlowConfig) -> FlowState:
         """Return still water with the fish at their starts."""
@@ -264,9 +268,6 @@ class Swimmers:
         return task.reward(before, self.now), terminated, terminated | (self.age >= task.time_limit)
 
 
-Row = dict[str, Any]
-
-
 def _choose(rows: Tensor, new: Tensor, old: Tensor) -> Tensor:
     """Return ``new`` in ``rows`` ``[B]`` and ``old`` elsewhere."""
     return torch.where(rows.view(-1, *(1,) * (new.dim() - 1)), new, old)
@@ -287,6 +288,7 @@ class Settings:
     noise: float = 0.2
     max_norm: float = 1.0
     seed: int = 0
+    compile: bool = True
 
 
 def unroll(
@@ -331,27 +333,28 @@ class Watch(Callback):
         num: number of policies to keep.
 
     Attributes:
-        kept: CPU seconds, decisions and weights of each.
+        kept: policies, and what each took: CPU seconds of set-up and of learning, and decisions.
     """
 
     def __init__(self, minutes: float, *, num: int = 5) -> None:
-        self.interval, self.num = 60.0 * minutes / num, num
-        self.kept: list[tuple[float, int, dict[str, Any]]] = []
+        self.interval, self.num, self.made = 60.0 * minutes / num, num, count_cpu_seconds()
+        self.kept: list[tuple[Row, nn.Module]] = []
 
     def start(self, actor: nn.Module) -> None:
         """Begin to count."""
         self.actor, self.frames, self.began = actor, 0, count_cpu_seconds()
 
     def on_step(self, step: TensorDictBase) -> None:
-        """Count the decisions of a completed step ``[B]``."""
-        self.count(step.numel())
-
-    def count(self, frames: int) -> None:
-        """Count decisions; raise ``OutOfTime`` at the end."""
-        self.frames += frames
+        """Count the decisions of completed steps; raise ``OutOfTime`` at the end."""
+        self.frames += step.numel()
         seconds = count_cpu_seconds() - self.began
         if seconds >= self.interval * (len(self.kept) + 1):
-            self.kept.append((seconds, self.frames, deepcopy(self.actor.state_dict())))
+            took = {
+                "set_up_seconds": self.began - self.made,
+                "seconds": seconds,
+                "frames": self.frames,
+            }
+            self.kept.append((took, deepcopy(self.actor)))
             if len(self.kept) == self.num:
                 raise OutOfTime
 
@@ -366,7 +369,7 @@ def count_cpu_seconds() -> float:
 
 
 def make_policy(settings: Settings) -> ProbabilisticActor:
-    """Return the policy that both methods train."""
+    """Return the policy of SHAC, such as that of SAC."""
     return make_continuous_actor(
         num_inputs=Approach.n_obs,
         num_actions=Approach.num_actions,
@@ -375,13 +378,11 @@ def make_policy(settings: Settings) -> ProbabilisticActor:
     )
 
 
-def train_shac(watch: Watch, settings: Settings) -> None:
+def train_shac(task: Approach, watch: Watch, settings: Settings) -> None:
     """Ascend the return of short horizons along its gradient, until ``watch`` ends it."""
+    swimmers = Swimmers(task, settings.num_envs, seed=settings.seed, compile=settings.compile)
     torch.manual_seed(settings.seed)
-    swimmers, actor = Swimmers(Approach(), settings.num_envs), make_policy(settings)
-    swimmers.step(torch.zeros(settings.num_envs, Approach.num_actions))  # compiles
-    swimmers.generator.manual_seed(settings.seed)
-    swimmers.reset_(swimmers.age >= 0)
+    actor = make_policy(settings)
     watch.start(actor)
     critic = MLP(Approach.n_obs, 1, num_cells=settings.hidden, activation_class=nn.SiLU)
     target = deepcopy(critic)
@@ -412,15 +413,15 @@ def train_shac(watch: Watch, settings: Settings) -> None:
         with torch.no_grad():
             for old, new in zip(target.parameters(), critic.parameters(), strict=True):
                 old.lerp_(new, 0.8)
-        watch.count(window.numel())
+        watch.on_step(window)
 
 
-def train_sac(watch: Watch, settings: Settings) -> None:
+def train_sac(task: Approach, watch: Watch, settings: Settings) -> None:
     """Train with the project's loop and its defaults until ``watch`` ends it."""
-    never, shared = 10**9, ("seed", "num_envs", "gamma", "hidden")
+    never, shared = 10**9, ("seed", "num_envs", "gamma", "hidden", "compile")
     with TemporaryDirectory() as folder:
         plan = Plan(
-            task=Approach(),
+            task=task,
             algorithm=SAC(),
             folder=folder,
             total_frames=never,
@@ -440,35 +441,20 @@ def steer(state: TensorDictBase) -> TensorDictBase:
     return state.set("action", torch.stack((bend, torch.ones_like(bend)), -1))
 
 
-def evaluate(policies: Iterable[Policy]) -> list[Row]:
+def evaluate(task: Approach, policies: Iterable[Policy]) -> list[Row]:
     """Return the metrics of each policy from 32 held-out starts, in the env of SAC."""
-    task = Approach()
     starts = task.sample_starts(32, torch.Generator().manual_seed(10**6))
     with closing(make_env(task=task, num_envs=8)) as env:
         return [run_episodes(env, policy, starts).metrics() for policy in policies]
 
 
-def learn(method: str, *, seed: int, minutes: float) -> list[Row]:
-    """Train by a method and return the metrics of the policies along the way."""
-    watch, began = Watch(minutes), count_cpu_seconds()
+def learn(method: str, task: Approach, watch: Watch, settings: Settings) -> list[Row]:
+    """Train by a method and return the metrics of the policies that were kept."""
     with suppress(OutOfTime):
-        {"shac": train_shac, "sac": train_sac}[method](watch, Settings(seed=seed))
-
-    def recall(weights: dict[str, Any]) -> nn.Module:
-        watch.actor.load_state_dict(weights)
-        return watch.actor
-
-    metrics = evaluate(recall(weights) for _, _, weights in watch.kept)
-    return [
-        {
-            "seed": seed,
-            "set_up_seconds": watch.began - began,
-            "seconds": seconds,
-            "frames": n,
-            **own,
-        }
-        for (seconds, n, _), own in zip(watch.kept, metrics, strict=True)
-    ]
+        {"shac": train_shac, "sac": train_sac}[method](task, watch, settings)
+    took, policies = zip(*watch.kept, strict=True)
+    metrics = evaluate(task, policies)
+    return [{"seed": settings.seed, **a, **b} for a, b in zip(took, metrics, strict=True)]
 
 
 def compare_slopes(coupling: Coupling, *, num: int = 8, compile: bool = True) -> list[Row]:
@@ -542,7 +528,7 @@ def main() -> None:
         draw(chosen.folder, chosen.folder / "gradient_control.png")
         return
     if chosen.what == "steer":
-        rows = evaluate([steer])
+        rows = evaluate(Approach(), [steer])
     elif chosen.what == "slopes":
         rows = [
             {"coupling": coupling.value, **row}
@@ -552,7 +538,8 @@ def main() -> None:
     else:
         rows = []
         for seed in chosen.seeds:
-            rows += learn(chosen.what, seed=seed, minutes=chosen.minutes)
+            watch = Watch(chosen.minutes)
+            rows += learn(chosen.what, Approach(), watch, Settings(seed=seed))
     (chosen.folder / f"{chosen.what}.json").write_text(json.dumps(rows, indent=1))
     for row in rows:
         print(row)

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from examples.gradient_control import Approach, Settings, Swimmers, make_policy, unroll
+from examples.gradient_control import (
+    Approach,
+    OutOfTime,
+    Settings,
+    Swimmers,
+    Watch,
+    make_policy,
+    train_sac,
+    train_shac,
+    unroll,
+)
 from fishrl.envs import FlowEnv
 
 #: The coarsest fish, and decisions of ten steps.
@@ -39,7 +51,7 @@ def test_swimmers_and_the_env_have_the_same_flows_and_rewards() -> None:
 
 def test_the_gradient_of_a_window_equals_central_differences() -> None:
     """Of each row's return with respect to a step of all weights of the policy."""
-    task, settings = Approach(**BRIEF), Settings(horizon=3)
+    task, settings = Approach(**BRIEF), Settings(horizon=2)
     actor = make_policy(settings).double()
     critic = torch.nn.Linear(task.n_obs, 1, dtype=torch.float64)
     weights = dict(actor.named_parameters())
@@ -58,3 +70,15 @@ def test_the_gradient_of_a_window_equals_central_differences() -> None:
     with torch.no_grad():
         rise = (go(shift + 1e-5) - go(shift - 1e-5)) / 2e-5
     torch.testing.assert_close(torch.stack(got), rise, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("train", [train_shac, train_sac])
+def test_training_keeps_policies_until_its_time_is_out(train: Callable[..., None]) -> None:
+    watch, settings = Watch(2e-3, num=2), Settings(num_envs=2, horizon=2, compile=False)
+    with pytest.raises(OutOfTime):
+        train(Approach(**BRIEF), watch, settings)
+    (first, before), (last, after) = watch.kept
+    assert 0 < first["frames"] <= last["frames"]
+    assert last["set_up_seconds"] > 0.0
+    assert all(value.isfinite().all() for value in after.parameters())
+    assert before is not after
