@@ -65,13 +65,19 @@ def compute_macroscopic(f: Sequence[Tensor]) -> Macroscopic:
 
 
 def compute_equilibrium(drho: Tensor, ux: Tensor, uy: Tensor) -> list[Tensor]:
-    """Return the shifted equilibrium f_eq - w at density deviation rho - 1 and velocity."""
+    """Return the shifted equilibrium f_eq - w at density deviation rho - 1 and velocity.
+
+    f_eq = w rho (1 + 3 c.u + 4.5 (c.u)^2 - 1.5 u^2), by pairs of opposite directions.
+    """
     rho = drho + 1.0
-    u2 = 1.5 * (ux * ux + uy * uy)
-    f_eq = []
-    for cx, cy, w in zip(CX, CY, W, strict=True):
-        cu = cx * ux + cy * uy
-        f_eq.append(w * (drho + rho * (3.0 * cu + 4.5 * cu * cu - u2)))
+    rest = drho - rho * (1.5 * (ux * ux + uy * uy))
+    f_eq = [W[0] * rest]
+    for first, along in ((1, (ux, uy)), (5, (ux + uy, uy - ux))):
+        w, flux = W[first], [3.0 * rho * u for u in along]
+        even = [w * (rest + 1.5 * u * j) for u, j in zip(along, flux, strict=True)]
+        odd = [w * j for j in flux]
+        f_eq += [e + o for e, o in zip(even, odd, strict=True)]
+        f_eq += [e - o for e, o in zip(even, odd, strict=True)]
     return f_eq
 
 

@@ -41,6 +41,8 @@ BODY_SETTINGS: dict[str, dict[str, object]] = {
     # over markers loop, since registers would not hold all terms.
     "cuda": {"combo_kernels": True, "triton.persistent_reductions": False},
 }
+# Vectors are worth their compilation (another 8 s) from this number of markers on.
+_MANY_MARKERS = 80
 
 
 def get_bodies(memory: GroupMemory) -> Bodies:
@@ -127,7 +129,10 @@ def make_coupling(
             total.index_put_((nodes,), torch.zeros_like(fluid.drho))
         copy_tree(bodies[1], moved)
 
-    return Part("coupling", collect, act, BODY_SETTINGS)
+    settings = BODY_SETTINGS
+    if sum(body.num_markers for body in config.bodies) < _MANY_MARKERS:
+        settings = settings | {"cpu": settings["cpu"] | {"cpp.simdlen": 1}}
+    return Part("coupling", collect, act, settings)
 
 
 def make_skin_parts(
