@@ -1,7 +1,8 @@
 """Statistics over seeds and starts: means, interquartile means, improvement; 95 % intervals.
 
 The interquartile mean and the probability of improvement are those of Agarwal et al. 2021 (arXiv
-2108.13264, section 4.3), with percentile bootstrap intervals over six seeds or more.
+2108.13264, section 4.3), with percentile bootstrap intervals over six seeds or more. SciPy, which
+takes a second to import, is imported by the functions that need it.
 """
 
 import math
@@ -11,7 +12,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 #: Values below which no bootstrap interval is given: it would be far too narrow.
 FEWEST = 6
@@ -44,6 +44,8 @@ def half_width(values: Sequence[float]) -> float:
     """Return half the width of a mean's interval (Student's t); NaN below two values."""
     if len(values) < 2:
         return math.nan
+    from scipy import stats
+
     return float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
 
 
@@ -56,6 +58,8 @@ def find_mean(values: Sequence[float]) -> Interval:
 
 def find_share(successes: int, total: int) -> Interval:
     """Return a share with Wilson's interval, which respects 0 and 1."""
+    from scipy import stats
+
     interval = stats.binomtest(successes, total).proportion_ci(method="wilson")
     return Interval(value=successes / total, low=interval.low, high=interval.high)
 
@@ -66,6 +70,8 @@ def find_interquartile_mean(values: Sequence[float]) -> Interval:
     A quarter of the values, rounded down, is left out at either end; below four values it is the
     plain mean.
     """
+    from scipy import stats
+
     return _bootstrap(partial(stats.trim_mean, proportiontocut=0.25), values)
 
 
@@ -89,6 +95,8 @@ def _bootstrap(statistic: Any, *groups: Sequence[float]) -> Interval:
     value = float(statistic(*samples))
     if min(map(len, groups)) < FEWEST:
         return Interval(value=value, low=math.nan, high=math.nan)
+    from scipy import stats
+
     interval = stats.bootstrap(
         samples, statistic, vectorized=True, method="percentile", n_resamples=2000, rng=0
     ).confidence_interval
