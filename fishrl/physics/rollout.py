@@ -63,7 +63,7 @@ def simulate(
             least. None checks nothing.
         compile: compile the step and its gradient at the first call for this configuration and
             number of flows, for minutes; then one flow of 64 x 48 nodes is ten times faster. For
-            ``backward`` and ``torch.autograd.grad`` alone, without ``retain_graph``.
+            ``backward`` and ``torch.autograd.grad`` alone, without ``create_graph``.
 
     Returns:
         The state after N steps, and what ``record`` returned, with a new first axis ``[N /

@@ -12,6 +12,7 @@ from fishrl.physics import C_START, Boundaries, Coupling, Fish, FlowConfig, Flow
 from fishrl.physics.bodies.motion import Bending
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.fast.compiled import compile_differentiable
 from fishrl.physics.flow import FlowParams, make_params, make_rest, make_uniform
 from fishrl.physics.rollout import estimate_memory, simulate
 
@@ -160,6 +161,21 @@ def test_compiled_steps_have_the_same_gradient() -> None:
         for c in (False, True)
     )
     torch.testing.assert_close(fast, eager, rtol=1e-8, atol=0.0)
+
+
+def test_compiled_graphs_can_be_retained() -> None:
+    """``torch.autograd.functional.jacobian`` goes back through one graph several times."""
+
+    def function(x: Tensor) -> tuple[Tensor]:
+        return (x.sin().cumsum(0) * (2.0 + x.tanh()),)
+
+    x = torch.linspace(0.1, 1.0, 8, dtype=torch.float64)
+    compiled = compile_differentiable(function, [x])
+    got, expected = (
+        torch.autograd.functional.jacobian(lambda x, own=own: own(x)[0], x)
+        for own in (compiled, function)
+    )
+    torch.testing.assert_close(got, expected)
 
 
 @pytest.mark.parametrize("coupling", [Coupling.IMPLICIT, Coupling.BOUNCE_BACK])

@@ -220,11 +220,16 @@ def compile_differentiable(
     if find_compiler_problem(device.type):
         return function
     twins = [t.detach().clone() for t in example]
-    eager = torch._functorch.config.patch(force_non_lazy_backward_lowering=True)
+    settings = {"force_non_lazy_backward_lowering": True, "donated_buffer": False}
+    eager = torch._functorch.config.patch(settings)
     graph = _trace(function, twins)
     with _set_up_inductor(device, {}), eager, torch.enable_grad():
         twins = [t.requires_grad_(t.is_floating_point()) for t in twins]
-        return cast("InPlaceFunction", _make_whole(lambda: compile_fx(graph, twins)))
+        compiled = _make_whole(lambda: compile_fx(graph, twins))
+        for result in compiled(*twins):  # for retain_graph, torch wants to see that none is donated
+            if whole := getattr(result.grad_fn, "_forward_cls", None):
+                whole.metadata.bw_donated_idxs = []
+        return cast("InPlaceFunction", compiled)
 
 
 def _compile(function: InPlaceFunction, example: Sequence[Tensor]) -> InPlaceFunction:
