@@ -21,7 +21,6 @@ from torch import Tensor
 from fishrl.physics import (
     C_START,
     Boundaries,
-    Coupling,
     Fish,
     FlowConfig,
     FlowState,
@@ -44,7 +43,7 @@ SIGMA = 0.1  # of starts around the published strokes, and of CMA-ES, parts of t
 
 @dataclass(frozen=True, kw_only=True)
 class Escape:
-    """A larva with a sharp skin in a closed tank, as on the page on the C-start but coarser.
+    """A larva in a closed tank, as on the page on the C-start but coarser.
 
     Args:
         body_length: L in nodes.
@@ -56,8 +55,8 @@ class Escape:
         compile: compile the step.
     """
 
-    body_length: int = 16
-    tank_bl: float = 4.0
+    body_length: int = 20
+    tank_bl: float = 3.0
     reynolds: float = 550.0
     period_bl: int = 25
     duration_T: float = 2.7
@@ -72,14 +71,13 @@ class Escape:
     def swim(self, numbers: Tensor) -> tuple[Tensor, Tensor]:
         """Return distance, L, and work, rho L^4 / T^2, of strokes ``[8]``, parts of the bounds."""
         length, period = self.body_length, self.period_bl * self.body_length
-        wall, side, skin = NoSlip(), round(self.tank_bl * length), Coupling.BOUNCE_BACK
+        wall, side = NoSlip(), round(self.tank_bl * length)
         larva = Fish(
             body_length=length,
             section=Section.LARVA,
             thickness=0.127,
             strokes=C_START,
             motion=Free(),
-            **skin.body_settings,
         )
         config = FlowConfig(
             width=side,
@@ -87,7 +85,6 @@ class Escape:
             tau=3.0 * length**2 / (self.reynolds * period) + 0.5,
             bodies=(larva,),
             boundaries=Boundaries(left=wall, right=wall, bottom=wall, top=wall),
-            coupling=skin,
         )
         params = make_params([config])
         values = (LOW + numbers * (HIGH - LOW))[None]
@@ -166,9 +163,9 @@ class Meter:
 
 
 def climb(meter: Meter, start: Tensor, number: int) -> None:
-    """Adam with rate 0.02, clamped to the bounds."""
+    """Adam with rate 0.03, clamped to the bounds."""
     numbers = start.clone().requires_grad_()
-    adam = torch.optim.Adam([numbers], lr=0.02)
+    adam = torch.optim.Adam([numbers], lr=0.03)
     while True:
         _, slope = meter.rate(numbers.detach().numpy(), with_slope=True)
         numbers.grad = -torch.tensor(slope).double()
@@ -249,7 +246,7 @@ def draw(
 def main() -> None:
     """Search, print the tables and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--gradients", type=int, default=40, help="budget of each search")
+    parser.add_argument("--gradients", type=int, default=16, help="budget of each search")
     parser.add_argument("--starts", type=int, default=3)
     parser.add_argument("--finer", type=int, default=32, help="body length of the check")
     parser.add_argument("--figure", type=Path, default=Path("gradient_design.png"))
@@ -272,7 +269,7 @@ def main() -> None:
             scores = f"{meter.course[0][1]:.3f} | {meter.course[-1][1]:.3f}"
             spent = time.process_time() - begun
             print(f"| {name} | {number} | {meter.steps} | {scores} | {spent:.0f} |", flush=True)
-    draw(chosen.figure, meters, scan(escape, 41))
+    draw(chosen.figure, meters, scan(escape, 31))
     tops = {"published": PUBLISHED}
     for name in SEARCHES:
         own = [meter for (other, _), meter in meters.items() if other == name]

@@ -6,6 +6,7 @@ of a segment are repeated when the gradient reaches it (Griewank & Walther 2000,
 that N steps need memory in proportion to sqrt(N), 0.2 GB for that beat. Each step is made twice.
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 from functools import cache
 from math import ceil, inf, sqrt
@@ -17,7 +18,7 @@ from torch.utils import _pytree as pytree
 from torch.utils.checkpoint import checkpoint
 
 from fishrl.physics.fast.compiled import compile_differentiable
-from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, make_params
+from fishrl.physics.flow import Coupling, FlowConfig, FlowParams, FlowState, make_params
 from fishrl.physics.step import step
 
 Tree = TypeVar("Tree")
@@ -40,9 +41,10 @@ def simulate(
 
     The result depends smoothly on populations, bodies (places, phases, frequencies, bends), and on
     all of ``params`` (viscosity by ``tau``, streams, outlines, gaits); gradients reach whatever of
-    these requires them, and whatever ``control`` uses. They equal central differences to 1e-5,
-    those of a C-start's strokes included. A sharp skin has kinks (of 0.1 % there) where a node lies
-    half a link away, and jumps where a node changes sides, which gradients leave out.
+    these requires them, and whatever ``control`` uses. They equal central differences to 1e-5.
+    With a sharp skin that moves, though, the result jumps wherever a node changes sides. Gradients
+    are exact between these jumps but leave them out, and miss the trend: optimise with
+    ``Coupling.IMPLICIT`` (``examples/gradient_horizon.py`` compares both).
 
     ``torch.func.jvp``, ``jacfwd`` and ``vmap`` work, and the forward derivatives need no memory;
     ``torch.func.grad``, ``vjp`` and ``jacrev`` need ``segment=num_steps``.
@@ -115,6 +117,12 @@ def simulate(
         else:
             state, noted = advance(state, first, last)
         records += noted
+    if state.f.requires_grad and config.coupling is Coupling.BOUNCE_BACK and not config.is_still:
+        warnings.warn(
+            "gradients leave out the jumps of a sharp skin, and miss the trend: give coupling = "
+            "Coupling.IMPLICIT",
+            stacklevel=2,
+        )
     if record is None:
         return state, None
     return state, pytree.tree_map(lambda *each: torch.stack(each), *records)

@@ -19,7 +19,7 @@ def test_fit_finds_frequency_and_amplitude_of_a_recording() -> None:
     with torch.no_grad():
         data = recording.swim(torch.ones(1, 3).double())
     course, slopes = fit(recording, data, 3)
-    assert slopes.shape == (1, 12, 3)
+    assert slopes.shape == (1, 28, 3)
     errors = (course - 1.0).abs()
     assert torch.equal(course[0, 0], torch.tensor(GUESS).double())
     assert (errors[-1, 0, 1:] < 0.5 * errors[0, 0, 1:]).all()
