@@ -46,7 +46,7 @@ class Horizon:
         periods: duration in T.
         travels: development time of the wake, D / U.
         skin: coupling of the bodies.
-        compile: compile the flow that develops the wake; to compile the others takes longer than they.
+        compile: compile the flow that develops the wake; for the others it would not pay.
     """
 
     body_length: int = 16
