@@ -60,7 +60,7 @@ class Escape:
     reynolds: float = 550.0
     period_bl: int = 25
     duration_T: float = 2.7
-    penalty: float = 10.0
+    penalty: float = 2.0
     compile: bool = True
 
     @property
@@ -182,7 +182,14 @@ def descend(meter: Meter, start: Tensor, number: int) -> None:
 
     begin = 10.0 * start.numpy()
     while True:  # again from the best, with an empty memory, where it has converged or failed
-        scipy.optimize.minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=[(0.0, 10.0)] * 8)
+        scipy.optimize.minimize(
+            loss,
+            begin,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[(0.0, 10.0)] * 8,
+            options={"gtol": 0.0, "ftol": 0.0},  # the budget ends it
+        )
         begin = 10.0 * meter.best.numpy()
 
 
