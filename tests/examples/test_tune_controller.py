@@ -43,10 +43,10 @@ def test_each_candidate_acts_in_its_own_flow() -> None:
 
 
 def test_search_keeps_its_budget_and_finds_a_better_controller() -> None:
-    task, untuned = make_task(), torch.zeros(8, 7)
-    numbers = tune(task, Budget(decisions=2500, candidates=8, starts=2), compile=False)
-    env = make_env(task=task, num_envs=8, compile=False)
+    task, untuned = make_task(), torch.zeros(6, 7)
+    numbers = tune(task, Budget(decisions=1000, candidates=6, starts=2), compile=False)
+    env = make_env(task=task, num_envs=6, compile=False)
     starts = task.sample_starts(2, torch.Generator().manual_seed(5))
     before, _ = try_all(env, task, untuned, starts)
-    after, _ = try_all(env, task, numbers.expand(8, 7), starts)
+    after, _ = try_all(env, task, numbers.expand(6, 7), starts)
     assert after[0] > before[0]
