@@ -66,6 +66,15 @@ def tidy(_app: Any, _what: str, _name: str, thing: Any, *rest: Any) -> tuple[str
     return (signature.replace("<factory>", "..."), annotation) if signature else None
 
 
+def keep_colon(_app: Any, what: str, *rest: Any) -> None:
+    """Make a comment the first line of properties and constants.
+
+    Napoleon reads a first line "Summary: details" as "type: description".
+    """
+    if what in ("attribute", "data", "property"):
+        rest[-1][:0] = ["..", ""]
+
+
 def drop_object(_app: Any, page: nodes.document) -> None:
     """Leave out the base of all classes."""
     for line in list(page.findall(nodes.paragraph)):
@@ -89,6 +98,7 @@ def setup(app: Any) -> None:
     """Connect the above."""
     app.connect("autodoc-skip-member", skip)
     app.connect("autodoc-process-signature", tidy)
+    app.connect("autodoc-process-docstring", keep_colon, priority=400)
     app.connect("doctree-read", drop_object)
     app.connect("source-read", link_studies)
     app.connect("source-read", add_notebooks)

@@ -10,6 +10,7 @@ from enum import Enum
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from textwrap import wrap
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -175,7 +176,9 @@ def _show_default(value: Any) -> str:
 
 
 def _code(text: str) -> str:
-    return f"`{text}`".replace("|", "\\|")
+    """Return the text as code; a long one in several pieces, since cells do not wrap inside."""
+    pieces = wrap(text, 30, break_long_words=False, break_on_hyphens=False)
+    return " ".join(f"`{piece}`" for piece in pieces).replace("|", "\\|")
 
 
 def _escape(text: str) -> str:
