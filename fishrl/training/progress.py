@@ -42,6 +42,7 @@ class Progress(Callback):
             desc=f"{'set-up':<12}",
             file=stream if self._is_terminal else _Lines(stream),
             mininterval=0.2 if self._is_terminal else 60.0,
+            miniters=1,  # else a thread of tqdm repeats the line of a slow run
             bar_format=_BAR if self._is_terminal else _LINE,
             leave=True,
         )
