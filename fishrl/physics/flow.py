@@ -298,7 +298,9 @@ def compute_stream_speed(params: FlowParams, clock: Tensor) -> Tensor:
     t_ramp.
     """
     age = clock - params.ramp_start
-    part = torch.where(params.ramp_steps > 0.0, age / params.ramp_steps, 1.0).clamp(max=1.0)
+    is_ramp = params.ramp_steps > 0.0  # never divided by 0, whose gradient would not be finite
+    part = torch.where(is_ramp, age / torch.where(is_ramp, params.ramp_steps, 1.0), 1.0)
+    part = part.clamp(max=1.0)
     change = params.stream_speed - params.former_speed
     return params.former_speed + change * 0.5 * (1.0 - torch.cos(pi * part))
 

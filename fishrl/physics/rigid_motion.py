@@ -55,7 +55,9 @@ def report_bodies(
         own_rates = rates[freedom.body]
         own_rates[freedom.axis] = own_rates[freedom.axis] + change
     fx, fy = force
-    square = torch.zeros_like(fx) if slip is None else slip[0] * slip[0] + slip[1] * slip[1]
+    square = torch.zeros_like(fx)
+    if slip is not None:  # without a gradient, which would not be finite at rest
+        square = (slip[0] * slip[0] + slip[1] * slip[1]).detach()
     updates = []
     for m, own in enumerate(slice_markers(config.bodies)):
         markers, across = outlines.markers[m], outlines.deformations[m].lateral_velocity.to(fx)

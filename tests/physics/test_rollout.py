@@ -8,14 +8,28 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
+from torch.utils import _pytree as pytree
 
-from fishrl.physics import C_START, Boundaries, Coupling, Fish, FlowConfig, FlowState, Free, Scales
-from fishrl.physics.bodies.motion import Bending
+from fishrl.physics import (
+    C_START,
+    Boundaries,
+    Coupling,
+    Cylinder,
+    Fish,
+    FlowConfig,
+    FlowState,
+    Foil,
+    Free,
+    Scales,
+    Section,
+)
+from fishrl.physics.bodies.motion import Bending, Commanded, Surging, Towed
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.fast.compiled import compile_differentiable
 from fishrl.physics.flow import FlowParams, make_params, make_rest, make_uniform
 from fishrl.physics.rollout import estimate_memory, simulate
+from fishrl.physics.step import step
 
 SCALES = Scales.from_budget(body_length=16, reynolds=300.0, max_wall_speed=0.15)
 PERIOD = 4 * round(SCALES.period / 4)
@@ -197,3 +211,40 @@ def test_functional_transforms(coupling: Coupling) -> None:
         torch.func.grad(lambda v: swim(v[None], coupling, 20).sum())(values)
     with pytest.raises(ValueError, match="give compile = False"):
         torch.func.jvp(lambda v: swim(v, coupling, 4, compile=True), (both,), (both,))
+
+
+LARVA = {"section": Section.LARVA, "thickness": 0.127, "strokes": C_START}
+BODIES = {
+    "free": partial(Fish, body_length=16, motion=Free()),
+    "bending": partial(Fish, body_length=16, motion=Bending()),
+    "commanded": partial(Fish, body_length=16, motion=Commanded()),
+    "C-start": partial(Fish, body_length=16, motion=Free(), **LARVA),
+    "surging": partial(Foil, chord=16, motion=Surging(pitch=0.3, pivot=5.0)),
+    "towed": partial(Cylinder, diameter=8.0, motion=Towed()),
+    "still": partial(Cylinder, diameter=8.0),
+}
+
+
+@pytest.mark.parametrize("coupling", Coupling)
+@pytest.mark.parametrize("name", BODIES)
+def test_no_gradient_from_rest_is_infinite(name: str, coupling: Coupling) -> None:
+    """Compiled gradients differentiate every output, so that 0 times infinity would spread."""
+    body = BODIES[name](**coupling.body_settings)
+    config = make_swimmer_config(
+        SCALES, length_bl=4, height_bl=3, bodies=(body,), coupling=coupling
+    )
+    one = torch.ones(1, dtype=torch.float64)
+    start = make_body(torch.tensor([[32.2, 24.3]]).double(), math.pi * one, one / PERIOD)
+    state = FlowState(make_rest(config, 1), (start,), 0.0 * one)
+    leaves, form = pytree.tree_flatten((state, make_params([config])))
+    leaves = [leaf.clone().requires_grad_(leaf.is_floating_point()) for leaf in leaves]
+    before, params = pytree.tree_unflatten(leaves, form)
+    results = [t for t in pytree.tree_leaves(step(before, config, params)) if t.requires_grad]
+    torch.autograd.backward(results, [torch.zeros_like(result) for result in results])
+    pairs, _ = pytree.tree_flatten_with_path((before, params))
+    infinite = [
+        pytree.keystr(path)
+        for path, leaf in pairs
+        if leaf.grad is not None and not leaf.grad.isfinite().all()
+    ]
+    assert infinite == []

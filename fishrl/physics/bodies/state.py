@@ -33,7 +33,7 @@ class BodyState(NamedTuple):
     #: With ``work`` it is the work on the water, if no external force acts
     torque_work: Tensor
     torque_impulse: Tensor  #: sum of the torque on the fluid over all steps
-    slip_error: Tensor  #: largest velocity error at a marker in the last step
+    slip_error: Tensor  #: largest velocity error at a marker in the last step, without gradient
     #: ``[B, 2]`` force on the fluid in the last step, the fluid inside the body included
     force: Tensor
     hydro_force: Tensor  #: ``[B, 2]`` force of the fluid outside on the body in the last step
