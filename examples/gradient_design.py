@@ -18,6 +18,7 @@ import scipy.optimize
 import torch
 from torch import Tensor
 
+from fishrl.extras import show_install
 from fishrl.physics import (
     C_START,
     Boundaries,
@@ -200,7 +201,7 @@ def evolve(meter: Meter, start: Tensor, number: int) -> None:
     try:
         import cmaes
     except ImportError as error:
-        raise ImportError("the comparison needs cmaes: pip install cmaes") from error
+        raise ImportError(f"the comparison needs cmaes: {show_install('sweep')}") from error
     bounds = np.array([[0.0, 1.0]] * 8)
     search = cmaes.CMA(
         mean=start.numpy(), sigma=SIGMA, bounds=bounds, population_size=8, seed=number

@@ -87,7 +87,7 @@ def tune(task: KarmanGait, budget: Budget, *, compile: bool = True) -> Tensor:
     try:
         import cmaes
     except ImportError as error:
-        raise ImportError(show_install("the search", "sweep")) from error
+        raise ImportError(f"the search needs cmaes: {show_install('sweep')}") from error
     num = budget.candidates
     search = cmaes.CMA(mean=np.zeros(7), sigma=0.5, population_size=num, seed=budget.seed)
     generator = torch.Generator().manual_seed(TRAIN_SEED + budget.seed)
