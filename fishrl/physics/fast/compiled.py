@@ -75,7 +75,6 @@ def _list_settings() -> dict[str, object]:
         "cpp.enable_floating_point_contract_flag": "fast",
         "size_asserts": False,
         "alignment_asserts": False,
-        "reorder_for_peak_memory": False,  # a search, a tenth of the compilation
         "cpp.vec_isa_ok": True,  # by the processor's flags; else a program is compiled for each
         # For networks: frozen constants are not stored, and templates fail on mutated arguments.
         "freezing": False,
@@ -115,7 +114,9 @@ def _set_up_inductor(device: torch.device, patches: dict[str, object]) -> Iterat
     """Apply settings, and yield a folder for this kind of machine, in which Inductor stores."""
     from torch._inductor.runtime.cache_dir_utils import cache_dir
 
-    with torch._inductor.config.patch(_list_settings() | patches):
+    # a search, a tenth of the compilation on a CPU; combined kernels of a GPU fail without it
+    search = {"reorder_for_peak_memory": device.type != "cpu"}
+    with torch._inductor.config.patch(_list_settings() | search | patches):
         before = cache_dir()
         folder = Path(before, "fishrl", _identify_machine(device))
         os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(folder)
