@@ -156,8 +156,6 @@ class Meter:
             score = self.escape.score(given)
         if with_slope:
             (slope,) = torch.autograd.grad(score, given)
-            if score.isfinite() and not slope.isfinite().all():
-                print("the gradient of a finite score is not finite: this step stays put")
         value = float(score.detach().nan_to_num(-1.0))
         if not self.course or value > self.course[-1][1]:
             self.best = given.detach()

@@ -9,6 +9,11 @@ from fishrl.physics.bodies.state import make_body
 from fishrl.physics.flow import make_params, make_rest
 from tests.physics.flows import SCALES, make_tank
 
+pytestmark = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA"),
+]
+
 
 def differentiate(device: str) -> Tensor:
     """Return the derivative of a free fish's work with respect to its tail beat, ``[1]``."""
@@ -23,7 +28,6 @@ def differentiate(device: str) -> Tensor:
     return slope
 
 
-@pytest.mark.gpu
 def test_gradients_on_a_gpu_equal_those_on_the_cpu() -> None:
     slope = differentiate("cuda")
     assert slope.device.type == "cuda"
