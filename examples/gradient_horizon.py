@@ -143,13 +143,13 @@ def draw(path: Path, found: dict[str, tuple[Tensor, Tensor]]) -> None:
         axes[0].semilogy(time_T, slope.abs(), style, label=name)
         error = (slope[:, None] - secants).abs() / secants.abs()
         for change, values, line in zip(CHANGES, error.T, (":", "-"), strict=True):
-            label = f"{name}, ±{change:g} rad"
+            label = f"change of ±{change:g} rad" if name == STILL else None
             axes[1].semilogy(time_T, values, style + line, label=label)
     axes[0].set(xlabel="time  [T]", ylabel="|dy / dbend|  [L / rad]")
     axes[1].set(xlabel="time  [T]", ylabel="relative error of the gradient")
     axes[1].axhline(0.5, color="0.7")
     for one in axes:
-        one.legend(fontsize=6)
+        one.legend(fontsize=7)
     figure.savefig(path, dpi=110)
 
 
