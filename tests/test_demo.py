@@ -1,5 +1,6 @@
 """The demo: recorded films at once, then policies that swim."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -27,3 +28,18 @@ def test_recorded_films_come_before_anything_heavy_is_imported(tmp_path: Path) -
     assert key.read_text() == "private"
     films = sorted(path.name for path in tmp_path.iterdir())
     assert films == ["catching_food_recorded.mp4", "holding_station_recorded.mp4"]
+
+
+def test_progress_and_errors_of_a_film_are_shown_with_its_title(tmp_path: Path) -> None:
+    code = (
+        "import sys, fishrl.children as children\n"
+        "swim = 'import sys; sys.exit(\"recording ...\\\\nno\")'\n"
+        "start = children.start_child\n"
+        "children.start_child = lambda _, *words, **options: start(swim, **options)\n"
+        "from fishrl.programs.demo import main; main(['--folder', sys.argv[1]])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False
+    )
+    lines = re.findall("^catching_food: (.*)$", done.stderr, re.MULTILINE)
+    assert lines == ["recording ...", "no"] and done.returncode == 1

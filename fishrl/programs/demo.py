@@ -7,10 +7,12 @@ are written at once. Then each swims again in a flow that is computed here and n
 
 import argparse
 import shutil
+import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Thread
 
 from fishrl.children import start_child
 from fishrl.files import staged
@@ -33,21 +35,30 @@ def main(arguments: Sequence[str] | None = None) -> None:
         with staged(film) as stage:
             shutil.copy(ZOO / name / "film.mp4", stage)
         sys.stdout.write(f"{film}: recorded film of zoo/{name}\n")
-    sys.stdout.write("now in a flow computed here: about a minute, most of it compilation\n")
+    sys.stdout.write("now in flows computed here, compiled first: four minutes of CPU time\n")
     sys.stdout.flush()
     swim = "import gc; gc.disable(); import torch; torch.set_num_threads(1)"
     swim = f"{swim}; from fishrl.programs.view import main; main()"
     with TemporaryDirectory() as place:  # where developed wakes are stored
-        running = {}
+        running = []
         for name, title, periods in SHOWS:
             words = [f"policy=zoo/{name}", f"periods={periods}", "frames_per_T=8"]
             save = f"{folder / title}.mp4".replace("'", r"\'")
             words += [f"save='{save}'", f"compile={not options.eager}"]
-            log = Path(place, name)
-            running[log] = start_child(swim, *words, cwd=place, stderr=log.open("a"))
+            child = start_child(swim, *words, cwd=place, stderr=subprocess.PIPE)
+            shown = Thread(target=show_progress, args=(title, child.stderr or ()), daemon=True)
+            shown.start()
+            running.append((child, shown))
         try:
-            for log, process in running.items():
-                if process.wait():
-                    sys.exit(log.read_text(encoding="utf-8").strip())
+            for child, shown in running:
+                shown.join()
+                if status := child.wait():
+                    sys.exit(status)
         except KeyboardInterrupt:
             sys.exit("interrupted")
+
+
+def show_progress(title: str, lines: Iterable[bytes]) -> None:
+    """Write the lines of a film's process, each after the film's title."""
+    for line in lines:
+        sys.stderr.write(f"{title}: {line.decode(errors='replace')}")
