@@ -23,12 +23,14 @@ from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.senses import SenseName
 from fishrl.modules.actors import ILLEGAL_LOGIT
+from fishrl.pages import write_csv
 from fishrl.programs.statistics import find_share
 from fishrl.training import evaluate
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.evaluation import TRAIN_SEED
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.run_folder import write_json
 from fishrl.zoo import load_policy
 
 
@@ -92,7 +94,7 @@ class Lesson:
             observes=(*task.observes, *senses),
             num_stacked=max(task.num_stacked, budget.num_stacked),
         )
-        self.plan = Plan(task=self.task, seed=budget.seed)
+        self.plan = Plan(task=self.task, seed=budget.seed, total_frames=budget.decisions)
         self.spec = PolicySpec.for_task(self.task)
         self.generator = torch.Generator().manual_seed(budget.seed)
         self.policy = self.plan.algorithm.make_policy(self.spec, self.generator)
@@ -134,9 +136,12 @@ class Lesson:
                 total += len(batch) * float(loss.detach())
         return total / len(inputs)
 
-    def give(self, *, num_envs: int = 16, compile: bool = True) -> int:
-        """Give the lesson, print each round, and return how many decisions it took."""
-        budget, spent = self.budget, 0
+    def give(self, *, num_envs: int = 16, compile: bool = True) -> list[tuple[int, float, float]]:
+        """Give the lesson, and print and return its rounds.
+
+        Of each the decisions so far, the mean duration of its episodes in T and the loss.
+        """
+        budget, spent, rounds = self.budget, 0, []
         starts_of = torch.Generator().manual_seed(TRAIN_SEED + budget.seed)
         env = make_env(task=self.both, num_envs=num_envs, compile=compile)
         for share in itertools.chain((1.0, 0.5), itertools.repeat(0.0)):
@@ -145,13 +150,13 @@ class Lesson:
             spent += int(episodes.lengths.sum())
             is_last = spent >= budget.decisions
             loss = self.fit(budget.epochs * (4 if is_last else 1))
-            lasted = f"{episodes.metrics()['mean_length_T']:.1f} T"
-            print(f"{spent} decisions, by the teacher {share:.0%}: {lasted}, loss {loss:.2f}")
+            rounds.append((spent, lasted := episodes.metrics()["mean_length_T"], loss))
+            print(f"{spent} decisions, by the teacher {share:.0%}: {lasted:.1f} T, loss {loss:.2f}")
             if is_last:
                 break
         env.close()
         self.student.fold()
-        return spent
+        return rounds
 
 
 def main() -> None:
@@ -166,13 +171,13 @@ def main() -> None:
     chosen = parser.parse_args()
     budget = Budget(decisions=chosen.decisions, num_stacked=chosen.stacked, seed=chosen.seed)
     lesson = Lesson(chosen.teacher, tuple(chosen.senses), budget)
-    spent = lesson.give()
-    folder, plan = chosen.folder, lesson.plan
-    save_checkpoint(
-        folder, {"actor": lesson.policy}, spec=lesson.spec, frames=spent, config=plan.to_config()
-    )
+    rounds, folder, config = lesson.give(), chosen.folder, lesson.plan.to_config()
+    actor = {"actor": lesson.policy}
+    save_checkpoint(folder, actor, spec=lesson.spec, frames=rounds[-1][0], config=config)
+    write_csv(folder / "metrics.csv", ("frames", "mean_length_T", "loss"), rounds)
     longer = replace(lesson.task, time_limit=321)
     result = evaluate(folder, task=longer, episodes=24, num_envs=12)
+    write_json(folder / "summary.json", result)
     share = find_share(round(24 * result["success_rate"]), 24).show(".0%")
     print(f"{folder} lasts 40 T: {share}, {result['mean_length_T']:.1f} T on average")
 

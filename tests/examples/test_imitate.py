@@ -37,7 +37,7 @@ def test_student_sees_what_its_own_task_shows() -> None:
 
 def test_lesson_keeps_its_budget_and_brings_the_student_nearer_to_the_teacher() -> None:
     lesson = make_lesson(decisions=100, episodes=2, epochs=20)
-    spent = lesson.give(num_envs=2, compile=False)
+    spent, *_ = lesson.give(num_envs=2, compile=False)[-1]
     assert 100 <= spent == sum(len(inputs) for inputs, *_ in lesson.seen) < 100 + 2 * 20
     inputs, wanted, mask = (torch.cat(part) for part in zip(*lesson.seen, strict=True))
     chance = wanted.masked_fill(~mask, -torch.inf).softmax(-1)
