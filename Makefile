@@ -66,7 +66,8 @@ GPU_MARKERS ?= (gpu or smoke) and not slow
 GPU_FOLDERS := tests/gpu tests/smoke tests/physics/fast tests/viewer
 
 test-gpu: $(TRITON_STAMP) ## run the GPU and smoke tests on a GPU, or an emulated one where there is none
-	PRETEND_CUDA=1 SMOKE_DEVICE=cuda PYTHONPATH=tests/pretend $(BIN)/python -m pytest $(PARALLEL) \
+	PRETEND_CUDA=1 SMOKE_DEVICE=cuda PYTHONPATH=tests/pretend $(BIN)/python \
+		-m pytest $(PROCESSES) --dist loadgroup --no-loadscope-reorder \
 		-m "$(GPU_MARKERS)" $(ARGS) $(GPU_FOLDERS)
 
 test-all: $(DEV_STAMP) ## run all tests, including the slow ones and those of make smoke

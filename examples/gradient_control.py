@@ -31,10 +31,15 @@ from torch.utils import _pytree as pytree
 from torchrl.modules import MLP, ProbabilisticActor
 from torchrl.objectives.value.functional import vec_td_lambda_return_estimate
 
-from fishrl.envs import AbstractTask, Command, make_env, run_episodes
+from fishrl.envs import Command, make_env, run_episodes
 from fishrl.envs.checks import scale_action
 from fishrl.envs.episodes import Policy
-from fishrl.envs.macro_actions import BendControl, ContinuousFrequency, FrequencyControl
+from fishrl.envs.macro_actions import (
+    AbstractFrequencyTask,
+    BendControl,
+    ContinuousFrequency,
+    FrequencyControl,
+)
 from fishrl.envs.sensors import compute_clearance
 from fishrl.envs.starts import place_fish
 from fishrl.modules import make_continuous_actor
@@ -51,12 +56,11 @@ from fishrl.training.algorithms.sac import SAC
 Row = dict[str, Any]
 
 
-class Approach(AbstractTask):
+class Approach(AbstractFrequencyTask):
     """Bring the centre of mass to a place ahead, in still water, by bend and tail beat."""
 
     success: ClassVar[str] = "reached"
     n_obs: ClassVar[int] = 9
-    num_actions: ClassVar[int] = 2
     num_draws: ClassVar[int] = 2
 
     body_length: int = 16
@@ -77,31 +81,10 @@ class Approach(AbstractTask):
     reach_bl: float = 0.15
     work_weight: float = 0.1
 
-    @property
-    def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
-        """Bend in L and tail beats per T."""
-        return self.control.action_bounds
-
-    @property
-    def max_frequency(self) -> float:
-        """Highest frequency of ``control``."""
-        return self.control.max_frequency
-
-    @property
-    def swimming_speed(self) -> float:
-        """Bound on the speed of a marker, with a bend from one side to the other."""
-        return super().swimming_speed + self.control.bend_rate_bl * self.scales.reference_speed
-
-    @property
-    def largest_turn(self) -> float:
-        """Largest bend."""
-        return self.control.bend_bl
-
     @cached_property
     def fish(self) -> Fish:
         """A free fish that bends."""
-        motion = self.control.make_motion(self.control_interval_T)
-        return replace(super().fish, motion=motion, inset=self.inset)
+        return replace(super().fish, inset=self.inset)
 
     def starts_from(self, uniform: Tensor) -> TensorDict:
         """Draw the place's distance and its angle from the line ahead of the fish."""

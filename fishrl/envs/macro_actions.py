@@ -8,6 +8,8 @@ last one swims upstream. When the flow label changes, the gear stays and the row
 """
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Annotated, ClassVar
 
@@ -15,7 +17,10 @@ import torch
 from pydantic import AfterValidator, Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from torch import Tensor
 
+from fishrl.envs.task import AbstractTask
+from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending, Commanded, Motion
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 from fishrl.settings import Settings
 
 #: For the paper's three flows, from ``studies/drift_sweep``. In each row the
@@ -302,3 +307,59 @@ class BendControl(FrequencyControl):
     def mask(self, gear: Tensor) -> Tensor:
         """Return that of ``beat``, the same for each bend."""
         return self.beat.mask(gear).repeat_interleave(3, -1)
+
+
+class AbstractFrequencyTask(AbstractTask):
+    """A task whose actions choose the tail-beat frequency.
+
+    Args:
+        control: maps actions to tail-beat frequencies, and bends the fish if it can; its rows are
+            in the order of the flows.
+    """
+
+    control: FrequencyControl = MacroActions()
+
+    def __post_init__(self) -> None:
+        speed = self.control.bend_rate_bl * self.scales.reference_speed
+        if speed > MAX_IMPOSED_SPEED:
+            raise ValueError(
+                f"control bends the tail at up to {speed:.3g} nodes per step, allowed is "
+                f"{MAX_IMPOSED_SPEED}: raise control.response_T, or lower control.bend_bl or "
+                "max_wall_speed"
+            )
+        super().__post_init__()
+
+    @property
+    def num_actions(self) -> int:
+        """Number of actions, or of the numbers in one."""
+        return self.control.num_actions
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names given by ``control``."""
+        return self.control.action_names
+
+    @property
+    def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
+        """Bounds given by ``control``."""
+        return self.control.action_bounds
+
+    @property
+    def max_frequency(self) -> float:
+        """Highest frequency of ``control``."""
+        return self.control.max_frequency
+
+    @property
+    def swimming_speed(self) -> float:
+        """Bound on the speed of a marker, with a bend from one side to the other."""
+        return super().swimming_speed + self.control.bend_rate_bl * self.scales.reference_speed
+
+    @property
+    def largest_turn(self) -> float:
+        """Largest turn of an action, radians, or its largest bend."""
+        return self.control.bend_bl or super().largest_turn
+
+    @cached_property
+    def fish(self) -> Fish:
+        """The fish, moved as ``control`` says."""
+        return replace(super().fish, motion=self.control.make_motion(self.control_interval_T))

@@ -16,6 +16,7 @@ from tests.training.conftest import read_rows
 pytestmark = [
     pytest.mark.gpu,
     pytest.mark.cluster,
+    pytest.mark.xdist_group("cluster"),
     pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA"),
 ]
 

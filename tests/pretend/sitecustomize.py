@@ -16,3 +16,4 @@ if os.environ.get("PRETEND_CUDA") == "1":
 
         device.install()
         os.environ.setdefault("TRITON_INTERPRET", "1")
+        os.environ.setdefault("TORCH_WARM_POOL", "0")  # no processes that would compile for it

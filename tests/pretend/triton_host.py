@@ -134,13 +134,17 @@ def compile_only(*capabilities: int) -> None:
     knobs.compilation.always_compile = knobs.nvidia.dump_ptxas_log = True
 
     def precompile(self: Any, *args: Any, **kwargs: Any) -> None:
-        for config in self.configs:
-            for capability in capabilities:
-                self.device_props = self.device_props._replace(cc=capability)
+        what = hash((self.fn.src, str(self.triton_meta["signature"]), str(self.configs)))
+        for capability in capabilities:
+            kernel = f"sm_{capability} {self.fn.__name__} {what:x}"
+            if kernel in USAGE:  # of another flow
+                continue
+            self.device_props = self.device_props._replace(cc=capability)
+            USAGE[kernel] = []
+            for config in self.configs:
                 log = io.StringIO()
                 with contextlib.redirect_stdout(log):
                     self._precompile_config(config)
-                said = USAGE.setdefault(f"sm_{capability} {self.fn.__name__}", [])
-                said.append(f"{config}: {log.getvalue()}")
+                USAGE[kernel].append(f"{config}: {log.getvalue()}")
 
     triton_heuristics.CachingAutotuner.precompile = precompile

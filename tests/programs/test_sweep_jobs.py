@@ -43,13 +43,7 @@ SETTINGS = [
 
 
 def run_sweep(*arguments: str) -> int:
-    """Return the exit code of a sweep in a process of its own."""
-    command = [sys.executable, "-m", "fishrl", "train", "--multirun", *arguments]
-    return subprocess.run(command, cwd=ROOT, check=False).returncode
-
-
-def run_sweep_here(*arguments: str) -> int:
-    """Return the exit code of a sweep in this process, which imports nothing again."""
+    """Return the exit code of a sweep, which this process runs."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", [*sys.argv])  # hydra reads and changes it
         patch.chdir(ROOT)
@@ -178,12 +172,13 @@ def test_runs_that_are_logged_and_compared_otherwise_are_one_group(tmp_path: Pat
     assert [len(group.runs) for group in group_runs(read_runs(tmp_path))] == [2, 1]
 
 
+@pytest.mark.usefixtures("kinematic")
 def test_a_killed_job_leaves_the_others_and_is_continued_by_the_same_sweep(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     loggers = f"logger._target_={HERE}.Killed,{HERE}.Gliding"
     command = [*SETTINGS, f"folder={tmp_path}", loggers]
-    assert run_sweep_here(*command) == 1
+    assert run_sweep(*command) == 1
     killed, whole = (tmp_path / f"logger_{HERE}.{name}" for name in ("Killed", "Gliding"))
     assert read_run(whole).status == "finished"
     run = read_run(killed)
@@ -194,13 +189,12 @@ def test_a_killed_job_leaves_the_others_and_is_continued_by_the_same_sweep(
     (rerun,) = [line.partition("rerun: ")[2] for line in said.splitlines() if "rerun: " in line]
     assert shlex.split(rerun)[1:] == ["train", f"resume={killed}", f"modules=[{HERE}]"]
     before = (whole / "summary.json").stat().st_mtime_ns
-    assert run_sweep_here(*command) == 0
+    assert run_sweep(*command) == 0
     assert read_rows(killed) == read_rows(whole)  # as if nothing had happened
     assert "2 of 2 runs finished" in capfd.readouterr().out
     assert (whole / "summary.json").stat().st_mtime_ns == before
     killed.joinpath("summary.json").unlink()  # evaluated again, by the command that was shown
-    alone = [sys.executable, "-m", "fishrl", *shlex.split(rerun)[1:]]
-    assert subprocess.run(alone, cwd=ROOT, check=False).returncode == 0
+    train.main(shlex.split(rerun)[2:])
     assert read_run(killed).status == "finished"
 
 
@@ -273,7 +267,7 @@ def test_jobs_that_cannot_be_set_up_are_all_named(
 ) -> None:
     write_yaml(tmp_path / "elsewhere.yaml", {})  # what else the folder holds does not matter
     command = [f"folder={tmp_path}", "preset=gait_small", "recognition=none.pt", "seed=0,1"]
-    assert run_sweep_here(*command) == 1
+    assert run_sweep(*command) == 1
     assert all("none.pt" in run.reason for run in read_runs(tmp_path))
     said = capfd.readouterr()
     assert "seed_1: failed at frame 0" in said.out

@@ -152,6 +152,7 @@ def test_each_baseline_is_evaluated(task: str, policy: str) -> None:
     _run("evaluate", *chosen, "episodes=2", "num_envs=2", *EAGER)
 
 
+@pytest.mark.xdist_group("predation_run")
 def test_learned_policy_is_shown_and_exported(predation_run: Path, tmp_path: Path) -> None:
     few = [f"checkpoint={predation_run}", *EAGER]
     _run("export", *few, f"save={tmp_path / 'flow.nc'}", "periods=1", "frames_per_T=2")
@@ -170,6 +171,7 @@ def test_transfer_writes_its_tables(gait_run: Path, tmp_path: Path) -> None:
     assert (tmp_path / "transfer.md").is_file()
 
 
+@pytest.mark.xdist_group("predation_run")
 def test_summarize_writes_its_tables(predation_run: Path) -> None:
     _run("summarize", predation_run.parent)
     assert (predation_run.parent / "summary.md").is_file()

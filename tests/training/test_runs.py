@@ -40,7 +40,7 @@ from tests.training.toy_fish import ToyFishEnv, ToyPredation
 @pytest.mark.usefixtures("kinematic")
 def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path) -> None:
     summary = train(
-        task=Predation(**SMALL),
+        task=Predation(**SMALL, time_limit=6),
         algorithm=DiscreteSAC(target_entropy_weight=0.2),
         learning=LearningSettings(num_envs=4, warmup_frames=8, buffer_size=100, hidden=(16,)),
         run=RunSettings(

@@ -1,5 +1,6 @@
 """Food that rests at first and then moves to and fro, on a path that each episode may draw."""
 
+from functools import cached_property
 from math import radians, sin
 from typing import Annotated, Literal
 
@@ -81,7 +82,7 @@ class AbstractFoodTask(AbstractTask):
                 "to the side, and leave the tank; tilt it less, or change food_x_bl"
             )
 
-    @property
+    @cached_property
     def food_ranges(self) -> dict[str, tuple[float, float]]:
         """Ends of the range of each number of the food's path; starts have those that differ."""
         low, high = self.food_limits_bl

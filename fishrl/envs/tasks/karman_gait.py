@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
 from math import pi
 from typing import Any, ClassVar, final
 
@@ -11,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.extensions import HasHistory, HasScene
-from fishrl.envs.macro_actions import FrequencyControl, MacroActions
+from fishrl.envs.macro_actions import AbstractFrequencyTask
 from fishrl.envs.scene import Panel, Scene, Series
 from fishrl.envs.senses import AbstractSensingTask, measure_own_motion
 from fishrl.envs.sensors import compute_clearance, wrap_angle
@@ -20,13 +19,11 @@ from fishrl.envs.steering import PIDSteering, Steering
 from fishrl.envs.streams import Stream
 from fishrl.envs.task import Command
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
-from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.fast.solver import InPlaceSolver
-from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 
 @final
-class KarmanGait(AbstractSensingTask, HasHistory, HasScene):
+class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScene):
     """Hold station behind a half disc, or in a free stream, by choosing the tail-beat frequency.
 
     Positions are of the nose relative to the middle of the disc's flat side, x downstream, in body
@@ -43,7 +40,6 @@ class KarmanGait(AbstractSensingTask, HasHistory, HasScene):
     Args:
         stream: the flows.
         start_flows: indices of the flows in which episodes take place, drawn uniformly.
-        control: maps actions to tail-beat frequencies; rows in the order of the flows.
         steering: heading controller; not used if actions bend the fish.
         start_x_bl: range of the initial nose position.
         start_y_bl: the same along y.
@@ -63,7 +59,6 @@ class KarmanGait(AbstractSensingTask, HasHistory, HasScene):
     checks_per_action: int = 7
     stream: Stream = Stream()
     start_flows: tuple[int, ...] = (0, 1, 2)
-    control: FrequencyControl = MacroActions()
     steering: Steering = PIDSteering()
     start_x_bl: tuple[float, float] = (1.5, 2.0)
     start_y_bl: tuple[float, float] = (-0.1, 0.1)
@@ -75,13 +70,6 @@ class KarmanGait(AbstractSensingTask, HasHistory, HasScene):
         if not self.start_flows or not all(0 <= i < num for i in self.start_flows):
             raise ValueError(
                 f"start_flows = {self.start_flows}: give one or more of the indices 0 to {num - 1}"
-            )
-        speed = self.control.bend_rate_bl * self.scales.reference_speed
-        if speed > MAX_IMPOSED_SPEED:
-            raise ValueError(
-                f"control bends the tail at up to {speed:.3g} nodes per step, allowed is "
-                f"{MAX_IMPOSED_SPEED}: raise control.response_T, or lower control.bend_bl or "
-                "max_wall_speed"
             )
         if self.control.num_flows not in (None, 1, num):
             raise ValueError(
@@ -100,16 +88,6 @@ class KarmanGait(AbstractSensingTask, HasHistory, HasScene):
         self.check_starts(self.starts_from(torch.cat((corners, others), 1)))
 
     @property
-    def num_actions(self) -> int:
-        """Number of actions, or of the numbers in one."""
-        return self.control.num_actions
-
-    @property
-    def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
-        """Bounds given by ``control``."""
-        return self.control.action_bounds
-
-    @property
     def num_samples(self) -> int:
         """Samples of the lateral line within an action."""
         return self.lateral_line.num_samples
@@ -118,26 +96,6 @@ class KarmanGait(AbstractSensingTask, HasHistory, HasScene):
     def inputs(self) -> tuple[str, ...]:
         """``flow_class``, if a transform writes it."""
         return ("flow_class",) if self.reads_flow_class else ()
-
-    @property
-    def max_frequency(self) -> float:
-        """Highest frequency of ``control``."""
-        return self.control.max_frequency
-
-    @property
-    def swimming_speed(self) -> float:
-        """Bound on the speed of a marker, with a bend from one side to the other."""
-        return super().swimming_speed + self.control.bend_rate_bl * self.scales.reference_speed
-
-    @property
-    def largest_turn(self) -> float:
-        """Largest turn of an action, radians, or its largest bend."""
-        return self.control.bend_bl or super().largest_turn
-
-    @cached_property
-    def fish(self) -> Fish:
-        """The fish, moved as ``control`` says."""
-        return replace(super().fish, motion=self.control.make_motion(self.control_interval_T))
 
     @property
     def flow_labels(self) -> list[dict[str, Any]]:
@@ -289,11 +247,6 @@ class KarmanGait(AbstractSensingTask, HasHistory, HasScene):
             names.append("stream_speed")
         reported: dict[str, Tensor] = {name: now[name] for name in names}
         return reported | {"angle_of_attack": wrap_angle(now["heading"] - pi)}
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names given by ``control``."""
-        return self.control.action_names
 
     @property
     def title(self) -> str:

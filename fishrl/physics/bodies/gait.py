@@ -9,6 +9,7 @@ from tail to head and the fish would not swim forward. Z = e1 S(X) + e2 C(X) has
 of the midline is a third. ``shear.py`` and ``midline.py`` turn them into an outline.
 """
 
+from functools import cached_property
 from math import comb, pi
 from typing import NamedTuple
 
@@ -54,7 +55,7 @@ class Gait(Settings):
             waves.append(sum(terms, np.zeros_like(x)))
         return np.stack([*waves, np.polynomial.Polynomial((0.0, 0.0, 1.0)).deriv(order)(x)])
 
-    @property
+    @cached_property
     def tail_speed(self) -> float:
         """Largest lateral speed, 2 pi times the largest amplitude, in L per tail-beat period.
 
