@@ -10,6 +10,7 @@ from torch import Tensor
 from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState
 from fishrl.physics.bodies.motion import Driven, Fixed, Free, Motion
 from fishrl.physics.bodies.state import BodyState, make_body
+from fishrl.physics.boundaries import Boundaries
 from fishrl.physics.cases import PERIODIC
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.flow import Coupling, make_params, make_rest, make_uniform
@@ -224,12 +225,17 @@ def test_all_links_of_a_body_that_keeps_the_margin_are_on_the_grid(
 
 @pytest.mark.compile
 def test_a_compiled_still_cylinder_feels_the_same_as_in_the_readable_step() -> None:
-    config = make_cylinder(Fixed(), stream_speed=0.05)
+    """The cylinder of the tutorial on new tasks, whose wake is developed with the same code."""
+    speed = 0.1 / 1.06
+    kick = Fixed(kick_speed=0.3 * speed, kick_steps=round(30 / speed))
+    cylinder = Cylinder(diameter=10, motion=kick, **SHARP)
+    size = {"width": 80, "height": 60, "boundaries": Boundaries.make_stream()}
+    config = make_cylinder(kick, bodies=(cylinder,), stream_speed=speed, **size)
     solver = start_solver(config, MIDDLE, velocity=(1.0, 0.0), compile=True)
     solver.advance_(40)
-    none = torch.zeros(1, SIZE, SIZE, dtype=torch.float64)
+    none = torch.zeros(1, 60, 80, dtype=torch.float64)
     body = make_body(MIDDLE, 0 * ONE, 0 * ONE)
-    state = advance(FlowState(make_uniform(none, none + 0.05, none), (body,)), config, 40)
+    state = advance(FlowState(make_uniform(none, none + speed, none), (body,)), config, 40)
     expected = state.bodies[0].impulse
     assert float(expected[0, 0]) > 1.0
     torch.testing.assert_close(solver.body.impulse, expected, rtol=1e-4, atol=1e-4)
