@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-from fishrl.programs.sweeps.jobs import plan_jobs
+from fishrl.programs.sweeps.jobs import Job, plan_jobs
 
 CONF = Path(__file__).parents[2] / "experiments" / "conf"
 NAMES = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 
 
+@cache
+def plan(name: str) -> list[Job]:
+    return plan_jobs(["--config-dir", str(CONF), f"experiment={name}"])
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_each_experiment_is_a_sweep_of_runs_that_can_be_set_up(name: str) -> None:
-    jobs = plan_jobs(["--config-dir", str(CONF), f"experiment={name}"])
+    jobs = plan(name)
     folders = {job.path.parent for job in jobs}
     assert len(jobs) > 2 and len({job.path for job in jobs}) == len(jobs)
     assert len(folders) == 1 and folders != {Path("runs")}
@@ -23,6 +29,4 @@ def test_each_experiment_is_a_sweep_of_runs_that_can_be_set_up(name: str) -> Non
 
 
 def test_experiments_write_into_different_folders() -> None:
-    commands = [["--config-dir", str(CONF), f"experiment={name}", "seed=0"] for name in NAMES]
-    folders = [plan_jobs(command)[0].path.parent for command in commands]
-    assert len(set(folders)) == len(NAMES)
+    assert len({plan(name)[0].path.parent for name in NAMES}) == len(NAMES)

@@ -157,8 +157,8 @@ def test_paths_and_names_that_are_typed_are_words() -> None:
         "[x]/é",
         *draw_words("ab1'\".%?/é|&<>@*=;!#", 60),
     ]:
-        (value, *_), name = read([f"baselines=[{word}x]", f"name={word}x"]).baselines, f"{word}x"
-        assert value == name
-        assert read([f"folder={word}"]).folder == word
+        settings = read([f"baselines=[{word}x]", f"name={word}x", f"folder={word}"])
+        assert settings.baselines[0] == settings.name == f"{word}x"
+        assert settings.folder == word
     assert read(["folder=~/x"]).folder == str(Path.home() / "x")
     assert summarize.main.read(["runs/a=1"]).folder == "runs/a=1"
