@@ -20,7 +20,6 @@ from torch import Tensor
 from fishrl.envs.task import AbstractTask
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending, Commanded, Motion
-from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 from fishrl.settings import Settings
 
 #: For the paper's three flows, from ``studies/drift_sweep``. In each row the
@@ -318,16 +317,6 @@ class AbstractFrequencyTask(AbstractTask):
     """
 
     control: FrequencyControl = MacroActions()
-
-    def __post_init__(self) -> None:
-        speed = self.control.bend_rate_bl * self.scales.reference_speed
-        if speed > MAX_IMPOSED_SPEED:
-            raise ValueError(
-                f"control bends the tail at up to {speed:.3g} nodes per step, allowed is "
-                f"{MAX_IMPOSED_SPEED}: raise control.response_T, or lower control.bend_bl or "
-                "max_wall_speed"
-            )
-        super().__post_init__()
 
     @property
     def num_actions(self) -> int:

@@ -20,6 +20,7 @@ from fishrl.envs.streams import Stream
 from fishrl.envs.task import Command
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
 from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 
 @final
@@ -70,6 +71,13 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
         if not self.start_flows or not all(0 <= i < num for i in self.start_flows):
             raise ValueError(
                 f"start_flows = {self.start_flows}: give one or more of the indices 0 to {num - 1}"
+            )
+        speed = self.control.bend_rate_bl * self.scales.reference_speed
+        if speed > MAX_IMPOSED_SPEED:
+            raise ValueError(
+                f"control bends the tail at up to {speed:.3g} nodes per step, allowed is "
+                f"{MAX_IMPOSED_SPEED}: raise control.response_T, or lower control.bend_bl or "
+                "max_wall_speed"
             )
         if self.control.num_flows not in (None, 1, num):
             raise ValueError(
