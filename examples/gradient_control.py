@@ -61,6 +61,7 @@ class Approach(AbstractFrequencyTask):
 
     success: ClassVar[str] = "reached"
     n_obs: ClassVar[int] = 9
+    num_actions: ClassVar[int] = 2
     num_draws: ClassVar[int] = 2
 
     body_length: int = 16
