@@ -29,6 +29,7 @@ IS_PRETENDED = "device" in sys.modules
 pytestmark = [
     pytest.mark.gpu,
     pytest.mark.compile,
+    pytest.mark.xdist_group("cuda"),  # they share what they compile
     pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA"),
     pytest.mark.skipif(find_spec("triton") is None, reason="needs the extra triton"),
 ]
@@ -127,20 +128,20 @@ def test_a_flow_on_a_gpu_equals_the_flow_on_a_cpu(
 
 
 COMPILE = """
-import json, triton_host
+import json, sys, triton_host
 triton_host.compile_only(80, 90)
-from tests.physics.fast.test_cuda import CASES, make_solver
-for name in CASES:
-    make_solver(name, device="cuda", compile=True).compile()
+from tests.physics.fast.test_cuda import make_solver
+make_solver(sys.argv[1], device="cuda", compile=True).compile()
 print(json.dumps(triton_host.USAGE))
 """
 
 
-def test_kernels_for_sm_80_and_sm_90_spill_no_registers(cache: Path) -> None:
+@pytest.mark.parametrize("name", CASES)
+def test_kernels_for_sm_80_and_sm_90_spill_no_registers(name: str, cache: Path) -> None:
     """In one at least of the configurations among which Inductor chooses by time."""
     root = Path(__file__).parents[3]
     done = subprocess.run(
-        [sys.executable, "-c", COMPILE],
+        [sys.executable, "-c", COMPILE, name],
         cwd=root,
         env=os.environ
         | {
