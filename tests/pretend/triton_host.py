@@ -137,7 +137,7 @@ def compile_only(*capabilities: int) -> None:
         what = hash((self.fn.src, str(self.triton_meta["signature"]), str(self.configs)))
         for capability in capabilities:
             kernel = f"sm_{capability} {self.fn.__name__} {what:x}"
-            if kernel in USAGE:  # of another flow
+            if kernel in USAGE:  # the same kernel in another part
                 continue
             self.device_props = self.device_props._replace(cc=capability)
             USAGE[kernel] = []
