@@ -31,24 +31,24 @@ REASON = (
 VIEW_D = (-3.0, 15.0, -4.0, 4.0)  # left, right, low, high
 
 
-def turn(*, diameter: int, coupling: str) -> Result:
-    """Run the cylinder; return those of ``measure_wake``."""
-    rate, how = 2.0 * SPEED / diameter, Coupling(coupling)
-    middle = 0.5 * SIZE * diameter
-    left, right, low, high = (0.5 * SIZE + side for side in VIEW_D)
+def turn(*, diameter: int, coupling: str, size: int = SIZE, speed: float = SPEED) -> Result:
+    """Run the cylinder in a square of ``size`` D at ``speed``; return those of ``measure_wake``."""
+    rate, how = 2.0 * speed / diameter, Coupling(coupling)
+    middle = 0.5 * size * diameter
+    left, right, low, high = (0.5 * size + side for side in VIEW_D)
     solver = start_stream(
         Cylinder(diameter=diameter, motion=Driven(angular_velocity=rate), **how.body_settings),
         (middle, middle),
-        size=(SIZE * diameter + 1, SIZE * diameter + 1),
-        tau=3.0 * SPEED * diameter / REYNOLDS + 0.5,
-        speed=SPEED,
+        size=(size * diameter + 1, size * diameter + 1),
+        tau=3.0 * speed * diameter / REYNOLDS + 0.5,
+        speed=speed,
         solve=ITERATIVE,
         coupling=how,
     )
     return measure_wake(
         solver,
         diameter=diameter,
-        speed=SPEED,
+        speed=speed,
         travels=TRAVELS,
         window=(left, right, low, high),
         is_shedding=True,

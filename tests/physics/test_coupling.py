@@ -36,12 +36,30 @@ def test_torque_impulse_of_a_turning_cylinder_equals_the_fluids_angular_momentum
     for _ in range(15):
         state = step(state, config, params)
         felt += float(state.bodies[0].hydro_torque)
-    _, jx, jy = compute_moments(state.f.unbind(1))
-    x, y = (torch.arange(60.0) - c for c in CENTRE[0])
     given = float(state.bodies[0].torque_impulse)
     assert given * rate > 0  # the cylinder takes the fluid along
-    assert given == pytest.approx(float((x * jy - y[:, None] * jx).sum()), rel=1e-3)
+    assert given == pytest.approx(measure_spin(state), rel=1e-3)
     assert felt == pytest.approx(-given, rel=1e-12)  # at a constant rate there is no inertia
+
+
+@pytest.mark.parametrize("turn", [0.4, 0.0, -0.4])
+def test_torque_impulse_of_a_commanded_fish_equals_the_fluids_angular_momentum(turn: float) -> None:
+    """As above, while the fish beats, drifts and turns by command."""
+    fish = Fish(body_length=20, motion=Commanded())
+    config = FlowConfig(width=60, height=60, tau=0.6, bodies=(fish,), boundaries=PERIODIC)
+    body = make_body(CENTRE, 2.8 * ONE, ONE / SCALES.period)
+    body = body._replace(turn=turn * ONE, turn_steps=80 * ONE, turn_clock=0 * ONE)
+    state = advance(FlowState(make_rest(config, 1), (body,)), config, 15)
+    given = float(state.bodies[0].torque_impulse)
+    assert abs(given) > 1.0
+    assert given == pytest.approx(measure_spin(state), rel=1e-3)
+
+
+def measure_spin(state: FlowState) -> float:
+    """Return the fluid's angular momentum about ``CENTRE``."""
+    _, jx, jy = compute_moments(state.f.unbind(1))
+    x, y = (torch.arange(60.0) - c for c in CENTRE[0])
+    return float((x * jy - y[:, None] * jx).sum())
 
 
 def test_a_driven_body_moves_at_its_prescribed_velocity_from_any_state() -> None:
