@@ -29,7 +29,7 @@ from experiments.validation import wake
 from experiments.validation.case import Case, Check, Job, Runs
 from fishrl.files import write_whole
 from fishrl.physics.cache_key import hash_sources, make_key, strip_code
-from fishrl.programs.figures.style import COLOURS, STYLE, tidy
+from fishrl.programs.figures.style import COLOURS, STYLE, spell_decades, tidy
 
 FIGURE_STYLE: Any = STYLE | {
     "axes.prop_cycle": cycler(color=COLOURS),
@@ -130,6 +130,7 @@ def _judge(outcome: Outcome) -> None:
             outcome.figure = Figure(figsize=outcome.case.size)
             outcome.case.draw(outcome.figure, outcome.runs)
             for axes in outcome.figure.axes:
+                spell_decades(axes)
                 if not axes.images and axes.get_label() != "<colorbar>":
                     tidy(axes)
     except Exception as error:  # noqa: BLE001 - one case must not cost the report of the others

@@ -9,14 +9,24 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter, LogFormatterMathtext
 
 from fishrl.files import staged
 from fishrl.viewer.film import STYLE
 
-__all__ = ["COLOURS", "STYLE", "panels", "tidy"]
+__all__ = ["COLOURS", "STYLE", "panels", "spell_decades", "tidy"]
 
 #: Okabe and Ito: distinguishable for the colour-blind too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7f3fbf", "#555555")
+
+
+def spell_decades(axes: Axes) -> None:
+    """Write ticks of logarithmic axes as 1e-07: ``STYLE`` does not parse the markup of 10^-7."""
+    for axis in (axes.xaxis, axes.yaxis):
+        if isinstance(axis.get_major_formatter(), LogFormatterMathtext):
+            axis.set_major_formatter(LogFormatter())
+        if isinstance(axis.get_minor_formatter(), LogFormatterMathtext):
+            axis.set_minor_formatter(LogFormatter())
 
 
 def tidy(axes: Axes) -> None:
@@ -47,5 +57,7 @@ def panels(
         for axes in grid.flat if has_grid else ():
             tidy(axes)
         yield grid
+        for axes in figure.axes:
+            spell_decades(axes)
         with staged(Path(path)) as stage:
             figure.savefig(stage)
