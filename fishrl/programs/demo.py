@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Thread
 
 from fishrl.children import start_child
@@ -39,23 +38,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.stdout.flush()
     swim = "import gc; gc.disable(); import torch; torch.set_num_threads(1)"
     swim = f"{swim}; from fishrl.programs.view import main; main()"
-    with TemporaryDirectory() as place:  # where developed wakes are stored
-        running = []
-        for name, title, periods in SHOWS:
-            words = [f"policy=zoo/{name}", f"periods={periods}", "frames_per_T=8"]
-            save = f"{folder / title}.mp4".replace("'", r"\'")
-            words += [f"save='{save}'", f"compile={not options.eager}"]
-            child = start_child(swim, *words, cwd=place, stderr=subprocess.PIPE)
-            shown = Thread(target=show_progress, args=(title, child.stderr or ()), daemon=True)
-            shown.start()
-            running.append((child, shown))
-        try:
-            for child, shown in running:
-                shown.join()
-                if status := child.wait():
-                    sys.exit(status)
-        except KeyboardInterrupt:
-            sys.exit("interrupted")
+    running = []
+    for name, title, periods in SHOWS:
+        words = [f"policy=zoo/{name}", f"periods={periods}", "frames_per_T=8"]
+        save = f"{folder / title}.mp4".replace("'", r"\'")
+        words += [f"save='{save}'", f"compile={not options.eager}"]
+        child = start_child(swim, *words, stderr=subprocess.PIPE)
+        shown = Thread(target=show_progress, args=(title, child.stderr or ()), daemon=True)
+        shown.start()
+        running.append((child, shown))
+    try:
+        for child, shown in running:
+            shown.join()
+            if status := child.wait():
+                sys.exit(status)
+    except KeyboardInterrupt:
+        sys.exit("interrupted")
 
 
 def show_progress(title: str, lines: Iterable[bytes]) -> None:

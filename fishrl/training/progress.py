@@ -30,18 +30,17 @@ class Progress(Callback):
     """A bar in frames with the phase at its left: set-up, compilation, warm-up, training, ...
 
     Args:
-        stream: where the bar is drawn. Anything but a terminal gets a line when the first phases
-            begin, at the end of a phase in which something was done, and every minute.
+        stream: where the bar is drawn. Anything but a terminal gets a line at the end of a phase
+            and every minute.
     """
 
     def __init__(self, *, stream: TextIO | None = None) -> None:
         stream = stream or sys.stderr
         self._is_terminal = stream.isatty()
-        self._stream: TextIO | _Lines = stream if self._is_terminal else _Lines(stream)
         self._bar = tqdm(
             total=1,
             desc=f"{'set-up':<12}",
-            file=self._stream,
+            file=stream if self._is_terminal else _Lines(stream),
             mininterval=0.2 if self._is_terminal else 60.0,
             miniters=1,  # else a thread of tqdm repeats the line of a slow run
             bar_format=_BAR if self._is_terminal else _LINE,
@@ -64,8 +63,6 @@ class Progress(Callback):
         if phase != self.phase:
             if not self._is_terminal:
                 self._bar.refresh()
-                if self._bar.n == self._bar.initial:
-                    self._stream.write(f"{phase} ...")
             self.phase = phase
             self._bar.set_description_str(f"{phase:<12}", refresh=self._is_terminal)
         if total is not None:

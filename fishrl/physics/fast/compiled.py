@@ -114,6 +114,8 @@ def _set_up_inductor(device: torch.device, patches: dict[str, object]) -> Iterat
     """Apply settings, and yield a folder for this kind of machine, in which Inductor stores."""
     from torch._inductor.runtime.cache_dir_utils import cache_dir
 
+    if device.type == "cpu":  # else a warning in each process where there is nvcc but no GPU
+        logging.getLogger("torch.utils.cpp_extension").setLevel(logging.ERROR)
     # a search, a tenth of the compilation on a CPU; combined kernels of a GPU fail without it
     search = {"reorder_for_peak_memory": device.type != "cpu"}
     with torch._inductor.config.patch(_list_settings() | search | patches):
