@@ -91,7 +91,8 @@ class Training:
     def _learn(self) -> None:
         """Collect, store and update until ``total_frames``; evaluate, log and save when due."""
         counters, total = self.counters, self.plan.total_frames
-        self.callbacks.on_phase(self._phase(), total=total, done=counters.frames)
+        begun = self.plan.num_envs if counters.pending else 0  # counted when it is concluded
+        self.callbacks.on_phase(self._phase(), total=total, done=counters.frames - begun)
         batches = iter(self.collector)
         while counters.pending or counters.frames < total:
             if not counters.pending:  # else the run was interrupted before this round's evaluation
