@@ -89,6 +89,20 @@ def test_run_resumed_after_sigkill_equals_an_uninterrupted_run(toy: Toy, whole: 
     assert_equal_weights(resumed, whole)
 
 
+class Counts(Callback):
+    """Where each progress bar ends."""
+
+    def __init__(self) -> None:
+        self.counts: list[int] = []
+
+    def on_phase(self, phase: str, *, total: int | None = None, done: int = 0) -> None:
+        if total is not None:
+            self.counts.append(done)
+
+    def on_progress(self, amount: int, *_: Any) -> None:
+        self.counts[-1] += amount
+
+
 @pytest.mark.parametrize(
     ("step", "frames"), [(7, 56), (23, 184), (3, 120)], ids=["warm-up", "learning", "evaluating"]
 )
@@ -101,7 +115,9 @@ def test_run_resumed_after_a_signal_equals_an_uninterrupted_run(
     resumed = toy.reopen("part")
     assert resumed.counters.frames == frames
     assert bool(resumed.counters.pending) == is_late
+    resumed.callbacks = shown = Counts()
     resumed.run()
+    assert shown.counts[0] == 240
     assert toy.rows("part") == read_rows(whole.folder.path)
     assert_equal_weights(resumed, whole)
 
