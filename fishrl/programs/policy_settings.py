@@ -50,7 +50,7 @@ class PolicySettings(TaskSettings):
         """Return the settings of which one names the policy."""
         return {
             "checkpoint=<run folder>": self.checkpoint,
-            "policy=<baseline>, such as policy=random": self.policy,
+            "policy=zoo/<name> or a baseline, such as policy=random": self.policy,
         }
 
     @property
