@@ -80,13 +80,25 @@ class Standardised(nn.Module):
 
 
 class Lesson:
-    """A teacher, and a student with senses of its own, in flows where both can be observed."""
+    """A teacher, and a student with senses of its own, in flows where both can be observed.
+
+    Args:
+        name: the teacher, in ``fishrl.zoo``: a policy with discrete actions for the Kármán gait.
+        senses: what the student observes.
+        budget: of the student.
+
+    Raises:
+        ValueError: for another teacher.
+    """
 
     def __init__(self, name: str, senses: tuple[SenseName, ...], budget: Budget) -> None:
         self.budget = budget
         teacher, task = load_policy(name)
-        assert isinstance(task, KarmanGait)
-        assert task.action_bounds is None
+        if not isinstance(task, KarmanGait) or task.num_label_inputs or task.action_bounds:
+            raise ValueError(
+                f"teacher = {name}: give one for the Kármán gait with discrete actions and no flow "
+                "label, such as gait_bend"
+            )
         self.teacher, self._of_teacher = teacher.module[0].module, (task.num_stacked, task.n_obs)
         self.task = replace(task, observes=senses, num_stacked=budget.num_stacked)
         self.both = replace(

@@ -8,6 +8,12 @@ from pathlib import Path
 from fishrl.programs import view
 
 
+def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a script that is given a folder, in a process of its own."""
+    command = [sys.executable, "-c", code, str(folder)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
 def test_recorded_films_come_before_anything_heavy_is_imported(tmp_path: Path) -> None:
     key, tmp_path = tmp_path / "key", tmp_path / "o'brien, é"
     key.write_text("private")
@@ -19,9 +25,7 @@ def test_recorded_films_come_before_anything_heavy_is_imported(tmp_path: Path) -
         "from fishrl.programs.demo import main\n"
         "assert 'torch' not in sys.modules; main(['--folder', sys.argv[1]])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False
-    )
+    done = run(code, tmp_path)
     settings = view.main.read(done.stderr.splitlines())  # of the first film to be computed
     assert settings.policy == "zoo/predation_small"
     assert settings.save == str(tmp_path / "catching_food.mp4")
@@ -38,8 +42,6 @@ def test_progress_and_errors_of_a_film_are_shown_with_its_title(tmp_path: Path) 
         "children.start_child = lambda _, *words, **options: start(swim, **options)\n"
         "from fishrl.programs.demo import main; main(['--folder', sys.argv[1]])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False
-    )
+    done = run(code, tmp_path)
     lines = re.findall("^catching_food: (.*)$", done.stderr, re.MULTILINE)
     assert lines == ["recording ...", "no"] and done.returncode == 1

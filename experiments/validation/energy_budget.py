@@ -140,7 +140,6 @@ def judge(runs: Runs) -> Iterator[Check]:
         "show.",
         "Re = 500, heading held": "What is missing falls with the grid in the order of that of the "
         "free fish; a held heading does not turn, so its torque does no work.",
-        "Re = 500, turned": "Without the work of the torque the sum would be 1.49.",
     }
     for fish, own in FISH.items():
         for coupling, name in NAMES.items():
@@ -148,7 +147,10 @@ def judge(runs: Runs) -> Iterator[Check]:
             at, finest = f"{name}, {fish}", found.get(FINEST)
             if not finest:
                 continue
-            is_sharp = coupling == "bounce-back"
+            is_sharp, note = coupling == "bounce-back", reasons.get(fish, "")
+            if own.get("turn"):
+                muscles = finest["closure"] / (1.0 - finest["torque"])
+                note = f"Without the work of the torque the sum would be {muscles:.2f}."
             yield Check(
                 f"(kinetic energy + dissipation) / work, {at}",
                 finest["closure"],
@@ -157,7 +159,7 @@ def judge(runs: Runs) -> Iterator[Check]:
                 LIMIT if is_sharp else None,
                 resolution=f"L = {FINEST}",
                 refinement={f"L = {n}": run["closure"] for n, run in found.items()},
-                note=reasons.get(fish, "") if is_sharp else "",
+                note=note if is_sharp else "",
             )
             if len(found) > 2:
                 gaps = {n: 1.0 - run["closure"] for n, run in found.items()}

@@ -56,3 +56,10 @@ def test_first_layer_takes_over_the_scaling() -> None:
     before = lesson.student(inputs)
     lesson.student.fold()
     assert torch.allclose(lesson.policy.module[0].module(inputs), before, atol=1e-5)
+
+
+def test_a_teacher_of_another_task_is_refused() -> None:
+    with pytest.raises(
+        ValueError, match=r"teacher = predation_small: give one .* such as gait_bend"
+    ):
+        Lesson("predation_small", ("place",), Budget())
