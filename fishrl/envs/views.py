@@ -29,12 +29,11 @@ _SWIMMING = 0.5
 #: Below this speed, L / T, neither a stream nor a fish has a direction.
 _MIN_SPEED = 0.05
 _PRESSURES = ("pressure", "p")
-#: Unit of each feature of a neuromast, and the value at which its colour saturates.
+#: Units of features of a neuromast other than pressures and velocities, and the values at which
+#: their colours saturate.
 _FEATURES = {
-    **dict.fromkeys(_PRESSURES, ("ρ (L/T)²", 1.0)),
     "t": ("T", 10.0), "x": ("L", 10.0), "y": ("L", 5.0), "shear": ("1/T", 50.0),
 }  # fmt: skip
-_VELOCITY = ("L/T", 2.0)
 _SIDES = ("right", "left")
 
 
@@ -250,13 +249,19 @@ def _read_fish(solver: InPlaceSolver, index: int, scales: Scales) -> dict[str, T
     }
 
 
-def describe_lateral_line(line: LateralLine, *, body_length: float) -> tuple[Marks, Panel]:
+def describe_lateral_line(
+    line: LateralLine, *, body_length: float, speed: float
+) -> tuple[Marks, Panel]:
     """Return neuromasts coloured by what they sense, and a plot of it; keys: neuromasts, signal.
 
-    Of several features it is the pressure, or the first one.
+    Of several features it is the pressure, or the first one. Colours of pressures and velocities
+    suit a stream of this speed, L / T.
     """
     feature = line.features[find_shown_feature(line)]
-    unit, limit = _FEATURES.get(feature, _VELOCITY)
+    if feature in _PRESSURES:
+        unit, limit = "ρ (L/T)²", speed**2
+    else:
+        unit, limit = _FEATURES.get(feature, ("L/T", 1.5 * speed))
     pairs = [f"{side} {k}" for k in range(1, line.num_neuromasts // 2 + 1) for side in _SIDES]
     names = ["nose"] * (line.num_neuromasts % 2) + pairs  # in the order of LateralLine.place
     marks = Marks(

@@ -93,6 +93,13 @@ class Training:
         counters, total = self.counters, self.plan.total_frames
         begun = self.plan.num_envs if counters.pending else 0  # counted when it is concluded
         self.callbacks.on_phase(self._phase(), total=total, done=counters.frames - begun)
+        if total <= self.plan.warmup_frames:
+            logger.warning(
+                "no gradient step in this run: total_frames = %d ends before warmup_frames = %d is "
+                "over; raise total_frames or lower warmup_frames",
+                total,
+                self.plan.warmup_frames,
+            )
         batches = iter(self.collector)
         while counters.pending or counters.frames < total:
             if not counters.pending:  # else the run was interrupted before this round's evaluation
@@ -102,12 +109,11 @@ class Training:
                 self._update()
                 counters.pending = self._measure(batch.numel(), seconds)
             self._conclude(counters.pending)
-        if counters.updates == 0:
+        if counters.updates == 0 and total > self.plan.warmup_frames:
             logger.warning(
-                "no gradient step in %d frames: learning begins after warmup_frames = %d, with PPO "
-                "after the first whole rollout; raise total_frames",
+                "no gradient step in %d frames: PPO learns after the first whole rollout; raise "
+                "total_frames",
                 counters.frames,
-                self.plan.warmup_frames,
             )
 
     def _collect(self, batches: Iterator[TensorDictBase]) -> tuple[TensorDictBase, float]:

@@ -1,4 +1,4 @@
-"""Pictures and films of a recorded flow: field, bodies, goal and path (matplotlib)."""
+"""Pictures and films of a recorded flow: field, bodies, senses, goal and path (matplotlib)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,13 +12,14 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon
 from numpy.typing import NDArray
 
-from fishrl.envs.scene import Arrow, Frame, Scene
+from fishrl.envs.scene import Arrow, Frame, Marks, Scene
 from fishrl.files import staged
-from fishrl.viewer.colours import RED_BLUE, WHITE_BLUE, round_up, space_ticks
+from fishrl.viewer.colours import PURPLE_GREEN, RED_BLUE, WHITE_BLUE, round_up, space_ticks
 from fishrl.viewer.recording import Recording
 
 #: Settings of matplotlib for all figures.
@@ -81,7 +82,7 @@ def fit_colours(recording: Recording) -> Scene:
 
 
 class FlowAxes:
-    """One set of axes that shows a scene's field, bodies, goal and paths, frame by frame.
+    """One set of axes that shows a scene's field, bodies, signals, goal and paths, frame by frame.
 
     Args:
         axes: to draw on.
@@ -114,6 +115,9 @@ class FlowAxes:
             if curve.is_closed
         }
         self.arrows = [_NamedArrow(axes, arrow, length) for arrow in scene.arrows if arrow.name]
+        self.signals = [
+            _Signals(axes, marks, length) for marks in scene.marks if marks.value is not None
+        ]
         self.circles = [
             (goal.key, circle)
             for goal in scene.marks
@@ -161,6 +165,8 @@ class FlowAxes:
             path.set_data(*np.stack([self._place(frame, key) for frame in frames]).T)
         for arrow in self.arrows:
             arrow.show(now)
+        for signals in self.signals:
+            signals.show(now)
         self.clock.set_text(f"t = {now.time:.1f} T")
         self.ending.set_text("" if now.ending is None else now.ending.words)
 
@@ -194,6 +200,28 @@ class _NamedArrow:
         self._text.set_text(f"{arrow.name} {size:.3g} {arrow.unit}")
         for artist in (self._shape, self._text):
             artist.set_visible(size > 0.0)
+
+
+class _Signals:
+    """Points coloured by a value each, such as neuromasts by what they sense."""
+
+    def __init__(self, axes: Axes, marks: Marks, body_length: float) -> None:
+        self._marks, self._length, size = marks, body_length, 2.0 * marks.radius / body_length
+        self._dots = EllipseCollection(
+            [size], [size], [0.0], units="xy", offsets=np.zeros((0, 2)),
+            offset_transform=axes.transData, cmap=PURPLE_GREEN, clim=(-marks.limit, marks.limit),
+            edgecolors=FISH, linewidths=0.5, zorder=5,
+        )  # fmt: skip
+        axes.add_collection(self._dots, autolim=False)
+        words = f"dots: {marks.name}, purple −{marks.limit:g} to green {marks.limit:g} {marks.unit}"
+        axes.text(0.985, 0.03, words, ha="right", fontsize=8, transform=axes.transAxes)
+
+    def show(self, frame: Frame) -> None:
+        places, values = (
+            frame.values[str(key)].float() for key in (self._marks.key, self._marks.value)
+        )
+        self._dots.set_offsets((places.reshape(-1, 2) / self._length).numpy())
+        self._dots.set_array(values.reshape(-1).numpy())
 
 
 class FramePainter:

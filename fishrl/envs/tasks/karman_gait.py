@@ -276,7 +276,9 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
             Series(key="place", column=0, label="x, downstream"),
             Series(key="place", column=1, label="y"),
         )
-        neuromasts, signals = describe_lateral_line(self.lateral_line, body_length=self.body_length)
+        neuromasts, signals = describe_lateral_line(
+            self.lateral_line, body_length=self.body_length, speed=max(self.stream.speeds_bl)
+        )
         speed = Panel(
             name="stream speed [L/T]", series=(Series(key="stream", column=0, label="speed"),)
         )

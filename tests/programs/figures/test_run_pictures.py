@@ -5,6 +5,7 @@ import gc
 import weakref
 from math import pi
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from fishrl.programs.figures import learning_curve
 from fishrl.programs.figures.learning_curve import Curve, write_learning_curve
 from fishrl.programs.figures.run_pictures import write_run_pictures, write_trajectories
 from fishrl.viewer import Recording, film
+from tests.viewer import scenes
 
 METRICS = """frames,train/return,eval/mean_return,train/success_rate,train/loss_qvalue
 64,-5.0,,0.0,2.0
@@ -166,3 +168,17 @@ def test_a_painter_keeps_paths_of_one_episode_but_no_fields_of_earlier_frames() 
     painter.paint(recording.frames[1])
     gc.collect()
     assert kept() is None
+
+
+def test_points_are_painted_in_the_colours_of_their_values() -> None:
+    painter, frame = film.FramePainter(scenes.make_scene(), dpi=100.0), scenes.make_frame(0)
+
+    def paint(felt: float) -> Any:
+        values = {**frame.values, "felt": torch.full((2,), felt)}
+        return painter.paint(dataclasses.replace(frame, values=values)).astype(int)
+
+    purple, grass = paint(-1.0), paint(1.0)
+    dots = (purple != grass).any(-1)
+    assert 20 < dots.sum() < 0.01 * dots.size
+    assert grass[dots][:, 1].mean() > grass[dots][:, 2].mean()
+    assert purple[dots][:, 2].mean() > purple[dots][:, 1].mean()
