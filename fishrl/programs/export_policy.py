@@ -47,7 +47,7 @@ def upload(folder: Path, repository: str) -> str:
         OSError: if the hub cannot be reached or refuses.
     """
     from huggingface_hub import HfApi
-    from huggingface_hub.errors import HTTPError  # type: ignore[attr-defined]
+    from huggingface_hub.errors import HTTPError
 
     api = HfApi()
     try:

@@ -22,7 +22,7 @@ from pydantic import PositiveInt
 try:
     import optuna
 except ImportError:  # it comes with the extra `sweep`
-    optuna = None  # type: ignore[assignment]
+    optuna = None
 
 from fishrl.extras import show_install
 from fishrl.files import make_folder
