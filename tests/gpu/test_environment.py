@@ -9,7 +9,8 @@ from tensordict import TensorDictBase
 from fishrl.envs import Predation, make_env
 from fishrl.physics import InPlaceSolver
 from fishrl.physics.fast.stepper import Stepper
-from tests.envs.test_real_flow import TINY as FLOW
+from tests.docs.test_tutorials import BRIEF
+from tests.envs.test_real_flow import TINY
 from tests.envs.test_real_wake import make_task as make_wake_task
 
 pytestmark = [
@@ -18,7 +19,8 @@ pytestmark = [
 ]
 
 
-TASKS = {"predation": lambda: Predation(**FLOW), "karman_gait": make_wake_task}
+FLOW = TINY | BRIEF
+TASKS = {"predation": lambda: Predation(**FLOW), "karman_gait": lambda: make_wake_task(**BRIEF)}
 
 
 def first_legal(state: TensorDictBase) -> TensorDictBase:

@@ -23,6 +23,7 @@ from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.loop import Training
 from fishrl.training.policy_spec import PolicySpec
+from tests.docs.test_tutorials import BRIEF
 from tests.envs.conftest import move_kinematically
 from tests.envs.test_real_flow import TINY
 from tests.objectives.transitions import NUM_ACTIONS, NUM_INPUTS, make_transitions
@@ -37,7 +38,7 @@ pytestmark = [
 @pytest.mark.parametrize(("first", "second"), [("cuda", "cpu"), ("cpu", "cuda")])
 def test_a_run_goes_on_on_another_device(first: str, second: str, tmp_path: Path) -> None:
     summary = train(
-        task=Predation(**TINY | {"time_limit": 2}),
+        task=Predation(**TINY | BRIEF | {"time_limit": 2}),
         learning=LearningSettings(num_envs=2, warmup_frames=2, batch_size=2, hidden=(8,)),
         run=RunSettings(
             total_frames=4, compile=False, device=first, folder=str(tmp_path), name="run",
@@ -61,7 +62,7 @@ def test_flows_and_networks_have_devices_of_their_own(
 
     def start(name: str, total_frames: int) -> Training:
         plan = Plan(
-            task=Predation(**TINY | {"time_limit": 5}), algorithm=algorithm,
+            task=Predation(**TINY | BRIEF | {"time_limit": 5}), algorithm=algorithm,
             num_envs=2, warmup_frames=8, batch_size=8, hidden=(8,),
             total_frames=total_frames, compile=False, device=device, learner_device=learner_device,
             folder=str(tmp_path), name=name, eval_frames=16, eval_episodes=1, final_episodes=1,

@@ -217,33 +217,33 @@ def test_a_sweep_that_is_ended_saves_its_runs(
     assert "0 of 2 runs finished" in done.out
 
 
-@pytest.mark.parametrize("is_sweep", [False, True])
-def test_a_closed_terminal_ends_a_training_or_a_sweep_with_everything_saved(
-    tmp_path: Path, is_sweep: bool
+def test_a_closed_terminal_ends_a_sweep_and_its_training_with_everything_saved(
+    tmp_path: Path,
 ) -> None:
     words = [*SETTINGS, f"folder={tmp_path}", f"+logger._target_={HERE}.Lingering"]
     process, terminal = pty.fork()
     if process == 0:
         os.chdir(ROOT)
         signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the tests run under nohup
-        words += ["--multirun", "seed=0,1"] if is_sweep else ["name=run"]
+        words += ["--multirun", "seed=0,1"]
         os.execv(sys.executable, [sys.executable, "-m", "fishrl", "train", *words])
     while not list(tmp_path.glob("*/mark")):
         if select.select([terminal], [], [], 0.1)[0]:
             os.read(terminal, 1000)
     os.close(terminal)
-    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == (1 if is_sweep else 129)
+    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 1
     (run,) = read_runs(tmp_path)
     assert (run.status, run.frames) == ("stopped", 8)
     assert not (run.path / "failure.txt").exists()
 
 
-@pytest.mark.parametrize("launcher", ["basic", "joblib"])
-def test_nothing_is_left_of_a_sweep_that_is_killed(tmp_path: Path, launcher: str) -> None:
+@pytest.mark.sweep
+def test_nothing_is_left_of_a_sweep_that_is_killed(tmp_path: Path) -> None:
+    """Neither of its launcher's processes nor of those that train in each of them."""
     words = [*SETTINGS, f"folder={tmp_path}", f"+logger._target_={HERE}.Lingering", "seed=0,1"]
     command = [sys.executable, "-m", "fishrl", "train", "--multirun", *words]
     marked = {**os.environ, "LEFT_BY": str(tmp_path)}
-    with subprocess.Popen([*command, f"hydra/launcher={launcher}"], cwd=ROOT, env=marked) as sweep:
+    with subprocess.Popen([*command, "hydra/launcher=joblib"], cwd=ROOT, env=marked) as sweep:
         while not list(tmp_path.glob("*/mark")):
             assert sweep.poll() is None
             time.sleep(0.1)

@@ -110,6 +110,8 @@ def test_each_task_trains(task: str, runs: Path, monkeypatch: pytest.MonkeyPatch
         move_kinematically(monkeypatch)
     is_continuous = task.endswith("_continuous") or task.startswith("follower")
     more = ["algorithm=sac"] if is_continuous else []
+    if task in REAL:
+        more += ["baselines=[]"]  # evaluated where fish glide
     if task == "karman_varied":
         more += [f"task.stream.diameter_bl={[0.4, 0.5, 0.6, 0.7] * 3}"]
     _train(runs, task, f"task={task}", *more, *_set_task(REAL.get(task, KINEMATIC)))

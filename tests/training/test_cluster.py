@@ -103,22 +103,6 @@ def test_run_continues_exactly_after_a_lost_collector_and_a_lost_machine(
     assert toy.rows("run") == read_rows(undisturbed.folder.path)
 
 
-@pytest.mark.cluster
-@pytest.mark.usefixtures("cluster")
-def test_collectors_use_the_newest_weights_and_unique_trajectory_ids(toy: Toy) -> None:
-    training = toy.begin(ray_collectors=2, warmup_frames=0)
-    batches = iter(training.collector)
-    first = next(batches)
-    assert first.batch_size == torch.Size([2, 4, 1])
-    assert not torch.equal(first[0]["observation"], first[1]["observation"])
-    assert len(first["collector", "traj_ids"].unique()) == 8
-    with torch.no_grad():
-        for weights in training.learner.explorer.parameters():
-            weights.fill_(0.0)
-    assert next(batches)["logits"].eq(0.0).all()
-    training.close()
-
-
 def make_gliding_env(**arguments: Any) -> Any:
     """Make an env whose fish move without a flow, in whichever process."""
     with pytest.MonkeyPatch.context() as patch:
@@ -128,18 +112,27 @@ def make_gliding_env(**arguments: Any) -> Any:
 
 @pytest.mark.cluster
 @pytest.mark.usefixtures("cluster")
-def test_epsilon_decays_with_env_frames_independent_of_the_number_of_fish(
+def test_collectors_use_the_newest_weights_and_count_the_frames_of_flows(
     toy: Toy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    few = {"ray_collectors": 2, "num_envs": 2, "warmup_frames": 2}
-    plan = make_toy_plan(toy.folder, algorithm=DQN(epsilon_end=0.0, epsilon_frames=8), **few)
+    """Of two fish each: trajectories are distinct, and epsilon decays by flows, not by fish."""
+    few = {"ray_collectors": 2, "num_envs": 4, "warmup_frames": 4}
+    plan = make_toy_plan(toy.folder, algorithm=DQN(epsilon_end=0.0, epsilon_frames=16), **few)
     pair = PredationPair(**SMALL, control_interval_T=0.25, checks_per_action=6)
     monkeypatch.setattr("fishrl.training.resolve.make_env", make_gliding_env)
     training = begin(replace(plan, task=pair))
-    for _, _ in zip(range(3), training.collector, strict=False):
-        pass
+    batches = iter(training.collector)
+    first = next(batches)
+    assert first.batch_size == torch.Size([2, 2, 1])
+    assert not torch.equal(first[0]["agents", "observation"], first[1]["agents", "observation"])
+    assert len(first["collector", "traj_ids"].unique()) == 4
+    with torch.no_grad():
+        for weights in training.learner.explorer.parameters():
+            weights.fill_(0.0)
+    assert next(batches)["agents", "action_value"].eq(0.0).all()
+    next(batches)
     chance: Any = training.learner.explorer[-1]  # type: ignore[index]
-    assert float(chance.eps) == pytest.approx(1.0 - (3 * 2 - 2) / 8)
+    assert float(chance.eps) == pytest.approx(1.0 - (3 * 4 - 4) / 16)
     training.close()
 
 

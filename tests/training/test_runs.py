@@ -32,6 +32,7 @@ from fishrl.training.loop import Training
 from fishrl.training.run_folder import RunFolder, read_config, write_yaml
 from fishrl.training.runs import adopt_plan, read_result
 from tests.envs.conftest import SMALL
+from tests.envs.test_real_flow import TINY
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, read_rows
 from tests.training.stops import run_and_kill, run_and_stop
 from tests.training.toy_fish import ToyFishEnv, ToyPredation
@@ -60,7 +61,7 @@ def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path
 def test_run_in_a_real_flow_stopped_amid_episodes_continues_exactly(tmp_path: Path) -> None:
     few = {"total_frames": 16, "warmup_frames": 4, "buffer_size": 8, "log_frames": 2}
     few |= {"checkpoint_frames": 2, "eval_frames": 8, "num_envs": 2, "batch_size": 4}
-    task = Predation(**SMALL, control_interval_T=0.25, checks_per_action=6, time_limit=6)
+    task = Predation(**TINY, control_interval_T=0.25, checks_per_action=6, time_limit=4)
 
     def start(name: str) -> Training:
         plan = make_toy_plan(tmp_path, name=name, **QUICK | few | {"eval_episodes": 1})

@@ -145,7 +145,7 @@ def test_many_steps_in_place_and_one_more_equal_readable_steps(name: str, num_st
 
 def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way() -> None:
     config = make_tank(**CHANGES["sheared"])
-    solver, other = make_solver(config), make_solver(config)
+    solver, other = (make_solver(config, flows_per_launch=3) for _ in range(2))
     state, params = advance(read_state(solver), config, 60), make_params([config] * 3)
     speed = torch.tensor([0.05, 0.06, 0.02], dtype=torch.float64)
     for each in (solver, other):
@@ -252,16 +252,17 @@ def test_flows_that_diverge_are_reported_once_each_time(
     is_reported: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Unless the caller names rows. What is not finite spreads by one node per step."""
-    solver = start_solver(FlowConfig(width=40, height=32, tau=0.6), num_envs=3)
+    config = FlowConfig(width=20, height=16, tau=0.6)
+    solver = start_solver(config, num_envs=3, flows_per_launch=3)
     every = torch.tensor([True, True, True])
 
     def count_reports(*diverged: int) -> int:
         caplog.clear()
         f = solver.populations()
-        f[list(diverged), 3, 20, 20] = torch.nan
+        f[list(diverged), 3, 10, 10] = torch.nan
         solver.set_populations_(f)
         for _ in range(2):
-            solver.advance_(40, None if is_reported else every)
+            solver.advance_(20, None if is_reported else every)
         return caplog.text.count(f"flows {list(diverged)} have diverged")
 
     assert count_reports(0, 2) == is_reported
