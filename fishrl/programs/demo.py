@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         with staged(film) as stage:
             shutil.copy(ZOO / name / "film.mp4", stage)
         sys.stdout.write(f"{film}: recorded film of zoo/{name}\n")
-    sys.stdout.write("now in flows computed here, compiled first: five minutes of CPU time\n")
+    sys.stdout.write("now in flows computed here, compiled first: three minutes of CPU time\n")
     sys.stdout.flush()
     swim = "import gc; gc.disable(); import torch; torch.set_num_threads(1)"
     swim = f"{swim}; from fishrl.programs.view import main; main()"
