@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,8 @@ def export_policy(
         plan = Plan.from_config(read_config(source.config))
     actor = load_policy(path)
     spec = PolicySpec.for_task(plan.task, has_labels=plan.recognition is not None)
-    config = {**plan.to_config(), "folder": "runs", "name": folder.name}
+    plan = replace(plan, folder="runs", name=folder.name)  # not where it was on this machine
+    config = plan.to_config()
     folder.parent.mkdir(parents=True, exist_ok=True)
     save_checkpoint(folder, {"actor": actor}, spec=spec, frames=metadata["frames"], config=config)
     keep_recognition(find_classifier(plan.recognition, path), folder)

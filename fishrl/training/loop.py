@@ -111,8 +111,8 @@ class Training:
             self._conclude(counters.pending)
         if counters.updates == 0 and total > self.plan.warmup_frames:
             logger.warning(
-                "no gradient step in %d frames: PPO learns after the first whole rollout; raise "
-                "total_frames",
+                "no gradient step in %d frames: fewer than PPO's first rollout, or than "
+                "updates_per_frame asks for one step; raise total_frames",
                 counters.frames,
             )
 

@@ -29,6 +29,8 @@ def test_an_exported_policy_is_the_best_of_its_run_with_a_model_card(
     assert load_plan(folder)[1].task == whole.task
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
     assert size < 0.2 * sum(f.stat().st_size for f in run.rglob("*") if f.is_file())
+    private = str(whole.folder.path.parent)  # where the run was
+    assert not any(private.encode() in file.read_bytes() for file in folder.rglob("*.*"))
     card = (folder / "README.md").read_text()
     for words in ("task: ToyPredation", "DiscreteSAC", "abc", "| success rate |", "240 of 240"):
         assert words in card
