@@ -97,6 +97,7 @@ def make_collector(resolved: ResolvedRun, learner: Learner, *, seed: int) -> Any
         total_frames=-1,
         init_random_frames=plan.warmup_frames,
         policy_device=actor_device,
+        env_device=env.device,  # given, TorchRL waits for actions that come from a GPU
         storing_device=plan.policy_device,  # trajectory ids too, which DRQN's sampler reads
     )
     if not plan.ray_collectors:
