@@ -92,7 +92,7 @@ def make_coupling(
     ``[cells]``, zero between steps, which all groups share; the bodies; and their ``geometry`` if
     they stay still. Others are located in each step.
     """
-    places = find_places(layout, device)
+    places, row_length, origin = find_places(layout, device), layout.row_length, layout.first_cell
     force = [torch.zeros(layout.num_cells, device=device) for _ in range(2)]
 
     def collect(
@@ -110,15 +110,15 @@ def make_coupling(
         """Couple as in ``step.couple_bodies``, at the marker nodes alone."""
         data, offsets, first_cell = places
         geometry = geometry or locate_bodies(config, *bodies, torch.float32)
-        nodes = geometry.stencil.index_nodes(layout.row_length) + first_cell[:, None, None]
+        own = geometry.stencil.index_nodes(row_length)
+        nodes = own + first_cell[:, None, None]
         slots = [nodes + offsets[q] for q in range(Q)]
         fluid = compute_macroscopic([config.storage.decode(data[slot]) for slot in slots])
         moved, *shares = couple_bodies(config, *bodies, geometry, fluid)
         for total, share in zip(force, shares, strict=True):
             total.index_put_((nodes,), share, accumulate=True)
         if config.sponges:  # each node has its own
-            own = geometry.stencil.index_nodes(config.width)
-            rates = layout.strip_rings(omega).flatten(1).gather(1, own.flatten(1)).view_as(own)
+            rates = omega.gather(1, (own + origin).flatten(1)).view_as(own)
         else:
             rates = omega[..., None]
         whole, part = (force[0][nodes], force[1][nodes]), (shares[0], shares[1])
@@ -147,6 +147,7 @@ def make_skin_parts(
     """
     device = sample.clock.device
     places, lattice = find_places(layout, device), make_lattice(device)
+    row_length, origin = layout.row_length, layout.first_cell
     # before even and before odd steps
     skins = [keep(locate_skins(config, sample.params.bodies, sample.bodies)) for _ in range(2)]
     # bodies that never move have one for both
@@ -166,8 +167,8 @@ def make_skin_parts(
             data=data,
             offsets=offsets,
             first=first_cell,
-            row_length=layout.row_length,
-            scrap=first_cell - layout.first_cell + offsets[0],
+            row_length=row_length,
+            scrap=first_cell - origin + offsets[0],
             lattice=lattice,
             storage=config.storage,
         )

@@ -17,6 +17,7 @@ import sysconfig
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
+from enum import Enum
 from functools import cache
 from pathlib import Path
 from types import CellType
@@ -140,7 +141,7 @@ def _make_twin(t: Tensor) -> Tensor:
 
 
 def is_own(thing: object) -> bool:
-    """Return whether ``thing`` consists of plain values and dataclasses of this package alone.
+    """Return whether ``thing`` consists of plain values, enums and dataclasses of this package.
 
     Then its ``repr`` and the package's sources determine it completely.
     """
@@ -151,9 +152,11 @@ def is_own(thing: object) -> bool:
     kind = thing if isinstance(thing, type) else type(thing)
     if not kind.__module__.startswith("fishrl.physics."):
         return False
-    if isinstance(thing, type) or not is_dataclass(thing):
+    if isinstance(thing, type | Enum):
         return True
-    return all(is_own(getattr(thing, field.name)) for field in fields(thing))
+    return is_dataclass(thing) and all(
+        is_own(getattr(thing, field.name)) for field in fields(thing)
+    )
 
 
 def compile_inplace(

@@ -24,7 +24,7 @@ def make_collision(config: FlowConfig) -> Part:
     Its tensors are the clock ``[B]``, omega ``[B, 1]`` or ``[B, cells]``, and all cells, rings
     included: one loop over contiguous memory.
     """
-    storage = config.storage
+    storage, rates = config.storage, config.rates
 
     def collect(memory: GroupMemory, parity: int) -> tuple[Tensor, Tensor, list[Tensor]]:
         return memory.flow.clock, memory.omega, memory.cells(parity)
@@ -32,7 +32,7 @@ def make_collision(config: FlowConfig) -> Part:
     def act(clock: Tensor, omega: Tensor, f: list[Tensor]) -> None:
         """Count the step and write each population to the opposite one's slot."""
         clock.add_(1.0)
-        collided = collide_mrt([storage.decode(g) for g in f], omega, config.rates)
+        collided = collide_mrt([storage.decode(g) for g in f], omega, rates)
         for q, g in enumerate(collided):
             f[OPPOSITE[q]].copy_(storage.encode(g))
 
@@ -117,12 +117,13 @@ def make_check(config: FlowConfig, is_fine: Tensor) -> Part:
 
     Those whose density or speed is out of range or not finite at a node have.
     """
+    storage = config.storage
 
     def collect(memory: GroupMemory, parity: int) -> tuple[Tensor, list[Tensor]]:
         return is_fine, memory.incoming(parity)
 
     def act(is_fine: Tensor, f: list[Tensor]) -> None:
-        drho, jx, jy = compute_moments([config.storage.decode(g) for g in f])
+        drho, jx, jy = compute_moments([storage.decode(g) for g in f])
         limit = MAX_SPEED * (drho + 1.0)
         # comparisons with NaN are false, so a broken flow is never fine
         is_node_fine = (jx * jx + jy * jy < limit * limit) & (drho.abs() < 1.0)

@@ -1,14 +1,16 @@
 """Parts of the fast step, functions of tensors that they change in place, and groups of flows."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import FunctionType
 from typing import Any, TypeVarTuple
 
 import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.physics.fast.compiled import InPlaceFunction, compile_inplace
+from fishrl.physics.fast.compiled import InPlaceFunction, compile_inplace, is_own
 from fishrl.physics.fast.flow_memory import GroupMemory
+from fishrl.physics.flow import FlowConfig
 from fishrl.physics.storage import Storage
 
 Trees = TypeVarTuple("Trees")
@@ -21,7 +23,8 @@ class Part:
         name: key among the parts of one step.
         collect: returns the arguments of ``act`` for a group, trees of tensors, at even (0) or odd
             (1) steps.
-        act: what the part does, eagerly or traced by the compiler.
+        act: what the part does, eagerly or traced by the compiler. Flows share the compiled code if
+            all that it closes over is equal, so it should close over no more than it needs.
         settings: Inductor's settings, by type of device; None leaves the part eager.
 
     Attributes:
@@ -47,16 +50,32 @@ class Part:
         self._form = pytree.tree_structure(even)
         return pytree.tree_leaves(even), pytree.tree_leaves(odd)
 
-    def compile(self, example: Sequence[Tensor], key: str | None) -> None:
-        """Compile ``run``; ``key`` determines the flow, None stores nothing on disk."""
+    @property
+    def key(self) -> str | None:
+        """What determines ``run`` besides this package's sources; None if anything else does."""
+        known = _find_known(self._act)
+        return f"{self.name} {known} {self._form}" if is_own(known) else None
+
+    def compile(self, example: Sequence[Tensor]) -> None:
+        """Compile ``run``, and keep the code on disk if the part has a key."""
         if self._settings is not None:
             settings = self._settings.get(example[0].device.type, {})
-            name = None if key is None else f"{self.name} {key}"
-            self.run = compile_inplace(self._act_on, example, name=name, **settings)
+            self.run = compile_inplace(self._act_on, example, name=self.key, **settings)
 
     def _act_on(self, *leaves: Tensor) -> None:
         assert self._form is not None
         self._act(*pytree.tree_unflatten(leaves, self._form))
+
+
+def _find_known(thing: object) -> object:
+    """Return ``thing``, of this package's functions all that they close over, in any depth.
+
+    Of a flow it is what the flows of a batch share: nothing else may shape the code.
+    """
+    if isinstance(thing, FunctionType) and thing.__module__.startswith("fishrl.physics."):
+        held = [cell.cell_contents for cell in thing.__closure__ or ()]
+        return [thing.__defaults__, thing.__kwdefaults__, *map(_find_known, held)]
+    return thing.get_structure() if isinstance(thing, FlowConfig) else thing
 
 
 class FlowGroup:

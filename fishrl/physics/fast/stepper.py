@@ -17,7 +17,6 @@ from fishrl.physics.fast.body_parts import (
     make_location,
     make_skin_parts,
 )
-from fishrl.physics.fast.compiled import is_own
 from fishrl.physics.fast.flow_memory import FlowData
 from fishrl.physics.fast.fluid_parts import make_check, make_collision, make_crossing, make_edges
 from fishrl.physics.fast.gpu_body_parts import make_triton_parts
@@ -43,9 +42,7 @@ class Stepper:
     def __init__(
         self, config: FlowConfig, layout: InPlaceLayout, sample: FlowData, *, uses_triton: bool
     ) -> None:
-        structure, device = config.get_structure(), sample.clock.device
-        self._key = repr(structure) if is_own(structure) else None
-        self._device = device
+        device = self._device = sample.clock.device
         self.locate: Part | None = None
         self.parts: list[Part] = [make_collision(config)]
         if config.bodies and config.coupling is Coupling.BOUNCE_BACK:
@@ -80,11 +77,11 @@ class Stepper:
         first = int(share * len(parts))
         for part in parts[first:] + parts[:first]:
             if part is not self.check:
-                part.compile(example.arguments[part][0], self._key)
+                part.compile(example.arguments[part][0])
 
     def compile_check(self, example: FlowGroup) -> None:
         """Compile the check, which only the process that reads the flows needs."""
-        self.check.compile(example.arguments[self.check][0], self._key)
+        self.check.compile(example.arguments[self.check][0])
 
     def is_fine(self, group: FlowGroup) -> Tensor:
         """Return ``[B]``: whether density and speed are within the method, before an even step."""

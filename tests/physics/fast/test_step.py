@@ -8,7 +8,9 @@ import shutil
 import string
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +21,14 @@ from torch._inductor import config as inductor_config
 from torch._inductor.cpp_builder import cpp_compiler_search
 from torch._inductor.graph import GraphLowering
 
-from fishrl.physics import Fish, FlowConfig, InPlaceSolver, Storage
+from fishrl.physics import Coupling, Fish, FlowConfig, InPlaceSolver, Storage
 from fishrl.physics.boundaries import Boundaries, NoSlip
+from fishrl.physics.cache_key import make_key
+from fishrl.physics.collision import Rates
 from fishrl.physics.fast import compiled as compiled_module
-from fishrl.physics.fast.compiled import compile_inplace, is_own
+from fishrl.physics.fast.compiled import compile_inplace
+from fishrl.physics.fast.part import Part
+from fishrl.physics.immersed_boundary import IterativeForcing
 from fishrl.physics.lattice import Q
 from tests.physics.fast.test_solver import CHANGES, TANK, make_solver
 from tests.physics.flows import make_tank
@@ -243,9 +249,70 @@ def test_paths_that_no_command_can_hold_are_refused(
     assert str(find_problem()).endswith("(install torch elsewhere)")
 
 
-def test_a_class_from_outside_the_package_is_not_cached_by_name() -> None:
-    class Magnetic(NoSlip):
-        """An edge whose source this package does not hold."""
+def list_parts(config: FlowConfig) -> list[tuple[Part, Sequence[torch.Tensor]]]:
+    batch = make_solver(config, slice(1))._batch
+    return [(part, batch.first.arguments[part][0]) for part in batch.stepper.list_all()]
 
-    assert is_own(TANK.get_structure())
-    assert not is_own(make_tank(boundaries=Boundaries(top=Magnetic())).get_structure())
+
+#: Flows of one batch may differ in these.
+ALIKE: dict[str, Any] = {
+    "tau": 0.6,
+    "stream_speed": 0.03,
+    "ramp_steps": 50,
+    "bodies": (Fish(body_length=26, num_markers=TANK.bodies[0].num_markers),),
+}
+#: Settings that ``CHANGES`` leaves alone.
+OTHERS: list[dict[str, Any]] = [
+    {"width": 112},
+    {"height": 80},
+    *({"rates": Rates(**{name: 1.2})} for name in ("energy", "flux")),
+    {"storage": Storage.FLOAT16},
+    {"coupling": Coupling.EXPLICIT},
+    {"force_solve": IterativeForcing(relaxation=1.1)},
+]
+
+
+def test_flows_share_all_compiled_parts_where_they_are_equal_and_nowhere_else() -> None:
+    changes = [*OTHERS, *(CHANGES[name] for name in CHANGES if name != "commanded")]
+    assert {each.name for each in fields(FlowConfig)} | {"motion"} == {*ALIKE, *chain(*changes)}
+    first, *others = (list_parts(make_tank(**change)) for change in ({}, ALIKE, *changes))
+    names = []
+    for parts in (first, *others):
+        keys = [part.key for part, _ in parts]
+        assert None not in keys
+        shapes = [(t.shape, t.stride(), t.dtype) for _, example in parts for t in example]
+        names.append(make_key(keys, shapes))
+    assert names[0] == names[1] and len(set(names[1:])) == len(others)
+    for (part, example), (other, _) in zip(first, others[0], strict=True):
+        codes = [compiled_module._trace(each.run, example).code for each in (part, other)]
+        assert codes[0] == codes[1], part.name
+
+
+class Magnetic(NoSlip):
+    """An edge whose source the package does not hold."""
+
+
+def test_the_key_of_a_part_has_all_that_its_function_closes_over(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def find_key(*known: Any) -> str | None:
+        def inner() -> Any:
+            return known
+
+        def act(x: torch.Tensor) -> None:
+            x.add_(inner())
+
+        for function in (inner, act):
+            monkeypatch.setattr(function, "__module__", "fishrl.physics.toy")
+        return Part("toy", lambda memory, parity: (), act, {}).key
+
+    assert find_key(1.0, Storage.FLOAT16) == find_key(1.0, Storage.FLOAT16) is not None
+    assert len({find_key(1.0), find_key(1.0 + 1e-15), find_key(Storage.FLOAT16), find_key()}) == 4
+    for foreign in (square, torch.ones(1), object(), Magnetic(), Magnetic):
+        assert find_key(foreign) is None, foreign
+    assert Part("toy", lambda memory, parity: (), square, {}).key is None
+
+
+def test_parts_that_know_a_class_from_outside_the_package_have_no_key() -> None:
+    parts = list_parts(make_tank(boundaries=Boundaries(top=Magnetic())))
+    assert [part.name for part, _ in parts if part.key is None] == ["coupling", "edges ['TOP']"]
