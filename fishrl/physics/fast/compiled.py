@@ -6,6 +6,7 @@ Inductor with *the views themselves as inputs* avoids both. In return, the calle
 shapes, strides and types never change and that mutated inputs do not overlap within one call.
 """
 
+import gc
 import gzip
 import logging
 import os
@@ -35,7 +36,20 @@ logger = logging.getLogger(__name__)
 InPlaceFunction = Callable[..., Any]
 
 
+@contextmanager
+def _without_collector() -> Iterator[None]:
+    """Suspend the garbage collector: a tenth of the compiler's time, and it frees little."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
 @cache
+@_without_collector()
 def find_compiler_problem(device_type: str) -> str | None:
     """Return why nothing can be compiled for ``device_type``, or None; logged once."""
     problem = _find_cpp_problem() if device_type == "cpu" else None
@@ -159,6 +173,7 @@ def is_own(thing: object) -> bool:
     )
 
 
+@_without_collector()
 def compile_inplace(
     function: InPlaceFunction,
     example: Sequence[Tensor],
@@ -208,6 +223,7 @@ def _claim(path: Path) -> Iterator[None]:
         yield
 
 
+@_without_collector()
 def compile_differentiable(
     function: Callable[..., Sequence[Tensor]], example: Sequence[Tensor]
 ) -> Callable[..., Sequence[Tensor]]:
