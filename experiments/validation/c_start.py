@@ -100,10 +100,7 @@ RUNS: list[dict[str, Any]] = [
     *({"body_length": n} for n in SIZES),
     *({"body_length": VARIANT_SIZE, **changes} for changes, _ in VARIANTS.values()),
 ]
-JOBS = [
-    Job(escape, a, cost=a.get("steps", STEPS) * a["body_length"] ** 3 * 100, is_quick=a == RUNS[0])
-    for a in RUNS
-]
+JOBS = [Job(escape, a, cost=a.get("steps", STEPS) * a["body_length"] ** 3 * 100) for a in RUNS]
 
 
 def judge(runs: Runs) -> Iterator[Check]:

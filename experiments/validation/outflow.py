@@ -37,7 +37,6 @@ OUTFLOWS: Mapping[str, tuple[Boundary, int]] = {  # with the length of the spong
     "open to plane waves, sponge 40": (OPEN, 40),
     "open at each node": (OPEN_SIDE, 0),
 }
-QUICK_OUTFLOWS = ("pinned density", "pinned, sponge 40")
 
 
 def _make_vortex(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -127,7 +126,6 @@ JOBS = [
         disturb_outflow,
         {"outflow": outflow, "kind": kind},
         cost=1e8 if kind == "vortex" else 3e7,
-        is_quick=outflow in QUICK_OUTFLOWS,
     )
     for kind in KINDS
     for outflow in OUTFLOWS

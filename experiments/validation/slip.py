@@ -115,7 +115,7 @@ def compare_solves(*, body: str) -> Result:
     return result
 
 
-JOBS = [Job(compare_solves, {"body": b}, cost=1e9, is_quick=b == "cylinder") for b in BODIES]
+JOBS = [Job(compare_solves, {"body": b}, cost=1e9) for b in BODIES]
 
 
 def judge(runs: Runs) -> Iterator[Check]:

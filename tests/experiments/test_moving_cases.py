@@ -1,5 +1,7 @@
 """What the cases with moving bodies compute from their runs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -28,8 +30,8 @@ def test_a_mirrored_vector_is_compared_with_its_own_image() -> None:
     assert compare(run, None, is_speed=False) == {MIRRORED: 0.0, "shifted": 0.1}
 
 
-def test_slip_interpolated_from_the_nodes_is_the_slip_that_the_solve_reports() -> None:
-    config, state, _, _ = slip.make_fish_flow()
+def test_slip_interpolated_from_the_nodes_is_what_the_solve_reports_and_none_if_exact() -> None:
+    config, state, speed, _ = slip.make_fish_flow()
     params = make_params([config])
     for _ in range(20):
         state = step(state, config, params)
@@ -37,3 +39,7 @@ def test_slip_interpolated_from_the_nodes_is_the_slip_that_the_solve_reports() -
     reported = float(step(state, config, params).bodies[0].slip_error)
     assert reported > 1e-6
     torch.testing.assert_close(measured, reported, rtol=1e-9, atol=0.0)
+    exact = replace(config, force_solve=slip.EXACT)
+    for dtype, limit in ((torch.float64, 1e-12), (torch.float32, 1e-6)):
+        rounded = state._replace(f=state.f.to(dtype))
+        assert slip.measure_slip(rounded, exact, params) < limit * speed
