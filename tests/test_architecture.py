@@ -38,6 +38,7 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/__init__.py", set()),
     ("fishrl/settings/", {"numpy", "pydantic", "pydantic_core", "fishrl.settings"}),
     ("fishrl/children.py", set()),
+    ("fishrl/figure_style.py", set()),
     ("fishrl/files.py", {"torch"}),
     ("fishrl/pages.py", {"fishrl.files"}),
     ("fishrl/extras.py", {"packaging"}),
@@ -80,7 +81,10 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/__main__.py", {"fishrl.programs"}),
     ("fishrl/programs/", PROGRAMS),
     ("fishrl/wrappers/", set()),
-    ("fishrl/viewer/", TENSORS | {"torchrl", "fishrl.viewer"} | DRAWING | TASK_SIDE),
+    (
+        "fishrl/viewer/",
+        TENSORS | {"torchrl", "fishrl.viewer", "fishrl.figure_style"} | DRAWING | TASK_SIDE,
+    ),
 )
 TORCHRL_SIDE = {f"fishrl.envs.{name}" for name in ("flow_env", "making", "transforms", "episodes")}
 ON_USE = {"rerun", "wandb"}

@@ -18,22 +18,11 @@ from matplotlib.patches import Circle, FancyArrowPatch, Polygon
 from numpy.typing import NDArray
 
 from fishrl.envs.scene import Arrow, Frame, Marks, Scene
+from fishrl.figure_style import STYLE
 from fishrl.files import staged
 from fishrl.viewer.colours import PURPLE_GREEN, RED_BLUE, WHITE_BLUE, round_up, space_ticks
 from fishrl.viewer.recording import Recording
 
-#: Settings of matplotlib for all figures.
-STYLE: Any = {
-    "font.size": 10,
-    "axes.titlesize": 10,
-    "axes.labelsize": 10,
-    "axes.linewidth": 0.8,
-    "axes.edgecolor": "#444444",
-    "legend.frameon": False,
-    "figure.facecolor": "white",
-    "savefig.dpi": 150,
-    "text.parse_math": False,  # labels are words
-}
 FISH = "#20252b"
 FOOD = "#f2b134"
 

@@ -64,10 +64,10 @@ def test_failed_jobs_are_misses_and_the_others_go_on(tmp_path: Path) -> None:
 
 def test_a_stopped_run_keeps_what_is_finished(tmp_path: Path) -> None:
     script = (
-        "import signal, sys; from pathlib import Path\n"
-        "from experiments import validate\n"
-        "from tests.experiments.toy_cases import make_squares, stop_parent\n"
-        "if __name__ == '__main__':\n"
+        "if __name__ == '__main__':\n"  # not in the processes that it starts
+        "    import signal, sys; from pathlib import Path\n"
+        "    from experiments import validate\n"
+        "    from tests.experiments.toy_cases import make_squares, stop_parent\n"
         "    log = Path(sys.argv[1], 'log')\n"
         "    stop = (stop_parent, dict(number=signal.SIGTERM.value, log=str(log)))\n"
         "    validate.CASES = (make_squares(log=log, others=[stop]),)\n"

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, LogFormatterMathtext
 
+from fishrl.figure_style import STYLE
 from fishrl.files import staged
-from fishrl.viewer.film import STYLE
 
 __all__ = ["COLOURS", "STYLE", "panels", "spell_decades", "tidy"]
 
