@@ -18,7 +18,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fishrl.physics import Cylinder, DCylinder, Fish, FlowConfig, InPlaceSolver
+from fishrl.physics import Cylinder, Fish, FlowConfig, InPlaceSolver
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.fast.stepper import Stepper
@@ -34,19 +34,18 @@ pytestmark = [
     pytest.mark.skipif(find_spec("triton") is None, reason="needs the extra triton"),
 ]
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
-#: What swims or lies in two flows, where its centre and its nose are, and how populations are kept.
+#: What swims or lies in two flows, where it and its nose are, and how populations are kept.
 FISH = [[40.3, 30.2], [38.0, 31.7]], [math.pi, 2.8]
-DISC = [[15.0, 30.0], [15.0, 30.0]], [math.pi, math.pi]
+BEHIND = [[68.0, 24.0], [67.3, 37.0]], [math.pi, 3.0]
 CASES = {
-    "free fish": ([(Fish(body_length=20, motion=Free()), *FISH)], Storage.FLOAT32),
     "cylinder": ([(Cylinder(diameter=10), *FISH)], Storage.FLOAT16),
-    "gait with disc": (
-        [(Fish(body_length=20), *FISH), (DCylinder(diameter=8), *DISC)],
+    "free and commanded fish": (
+        [(Fish(body_length=20, motion=Free()), *FISH), (Fish(body_length=20), *BEHIND)],
         Storage.FLOAT32,
     ),
 }
 #: Kernels of one step, launched one after the other.
-MOST_LAUNCHES = {"free fish": 20, "cylinder": 16, "gait with disc": 23}
+MOST_LAUNCHES = {"cylinder": 16, "free and commanded fish": 22}
 LONG = [pytest.mark.slow] if IS_PRETENDED else []
 REPLAY = Stepper._replay_  # recorded here, and nowhere else on the pretended device
 
