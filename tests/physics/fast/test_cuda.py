@@ -34,7 +34,7 @@ pytestmark = [
     pytest.mark.skipif(find_spec("triton") is None, reason="needs the extra triton"),
 ]
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
-#: What swims or lies in two flows, where it and its nose are, and how populations are kept.
+#: What swims or lies in two flows, where its centre and its nose are, and how populations are kept.
 FISH = [[40.3, 30.2], [38.0, 31.7]], [math.pi, 2.8]
 BEHIND = [[68.0, 24.0], [67.3, 37.0]], [math.pi, 3.0]
 CASES = {
