@@ -194,10 +194,12 @@ def make_skin_parts(
     ) -> None:
         uncover_nodes_(config, bodies[1], before, after, list_slots(places, lattice))
 
-    start = moved = Part("skin", collect, locate, BODY_SETTINGS)
+    # stacked arrays are written at once: each of their parts would be a tensor made in every call
+    settings = BODY_SETTINGS | {"cpu": BODY_SETTINGS["cpu"] | {"force_pointwise_cat": True}}
+    start = moved = Part("skin", collect, locate, settings)
     reflection = Part("reflection", collect, reflect, BODY_SETTINGS)
     if config.is_still:
         return start, [reflection]
     if any(body.is_still for body in config.bodies):
-        moved = Part("moved skin", collect, follow, BODY_SETTINGS)
+        moved = Part("moved skin", collect, follow, settings)
     return start, [reflection, moved, Part("uncovering", collect, uncover, BODY_SETTINGS)]
