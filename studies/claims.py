@@ -117,6 +117,17 @@ def check_predation() -> None:
     assert len(rates) == 3 and round(fmean(rates)) == 91
 
 
+def check_four_arms() -> None:
+    """Each blind fish with a lateral line stays longer than each without; a seeing one does not."""
+    name, stays = "64 to 74 thousand, T", dict[str, list[float]]()
+    for row in read_data("four_arms", "arms"):
+        stays.setdefault(row["observed besides own motion"], []).append(float(row[name] or "nan"))
+    assert all(len(stays[arm]) == 5 for arm in list(stays)[:4])
+    assert min(stays["lateral line"]) > max(stays["–"])
+    see, all_senses = stays["place, drift, heading"], stays["place, drift, heading, lateral line"]
+    assert abs(fmean(all_senses) - fmean(see)) < 1.2 and min(see) > max(stays["lateral line"])
+
+
 def check_reproduction() -> None:
     """Both modules survive as the paper's do, and the ablation longer."""
     for scale in ("small", "half"):
