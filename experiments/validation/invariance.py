@@ -34,6 +34,7 @@ from fishrl.physics import (
 from fishrl.physics.bodies.motion import Driven, Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
 from fishrl.physics.units import DEFAULT_WALL_SPEED
+from fishrl.programs.figures.style import COLOURS
 
 Start = tuple[tuple[float, float], float, float]  # place, heading and speed of the stream
 
@@ -257,14 +258,20 @@ def judge(runs: Runs) -> Iterator[Check]:
 
 
 def draw(figure: Figure, runs: Runs) -> None:
-    """Draw all differences."""
+    """Draw all differences, open where they exceed their criterion."""
+    limits = {change: limit for changes, limit in KINDS.values() for change in changes}
     names: list[str] = []
     axes = figure.subplots()
-    for quantity, changes in _compare_all(runs).items():
-        rows = [-len(names) - i for i in range(len(changes))]
-        axes.plot([max(value, 1e-10) for value in changes.values()], rows, "o")
-        names += [f"{quantity}, {change}" for change in changes]
-    axes.axvline(LIMIT, color=GREY, linestyle="--", label="criterion")
+    for (quantity, changes), colour in zip(_compare_all(runs).items(), COLOURS, strict=False):
+        for change, value in changes.items():
+            fill = "white" if value > limits[change] else colour
+            axes.plot(max(value, 1e-10), -len(names), "o", color=colour, markerfacecolor=fill)
+            names.append(f"{quantity}, {change}")
+    for limit, style, label in (
+        (LIMIT, "--", "criterion"),
+        (FAST_LIMIT, ":", "in fast frames, at an angle"),
+    ):
+        axes.axvline(limit, color=GREY, linestyle=style, label=label)
     axes.set_yticks([-i for i in range(len(names))], names, fontsize=8)
     axes.set(xscale="log", xlabel="difference from the flow as it is / its size")
     axes.set_title("The same flow shifted, mirrored, turned and moving")
