@@ -167,14 +167,15 @@ def test_capture_adds_20_and_terminates(small_task: Predation) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "x"), [({"capture_radius_bl": 0.1}, 2.7), ({"food_x_bl": 0.21}, 0.5)]
+    ("settings", "x"),
+    [({"capture_radius_bl": 0.1}, 2.7), ({"food_x_bl": 0.21, "capture_reward": 100.0}, 0.5)],
 )
 def test_capture_within_an_action_counts(settings: dict[str, float], x: float) -> None:
     """Gliding on, the fish would be past its food, or at the wall, at the end of the action."""
     task = Predation(**SMALL, **settings)
     env = begin(task, starts_at((x, 2.5)))
     after = act(env, KEEP)
-    assert after["captured"].all() and after["reward"] == 21.0
+    assert after["captured"].all() and after["reward"] == 1.0 + task.capture_reward
     distance, radius = after["observation"][0, 2], task.capture_radius_bl
     assert radius - 0.02 < distance <= radius  # the moment of capture, not the end
     assert env.solver.body.age < task.n_substeps

@@ -5,7 +5,7 @@ from math import ceil, degrees, floor, pi, radians
 from typing import Annotated, ClassVar, Literal, final
 
 import torch
-from pydantic import Field, PositiveFloat
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
@@ -37,6 +37,8 @@ class AbstractPredation(AbstractFoodTask, HasScene):
             and face -x; the range is clipped to keep them clear of the walls.
         start_y_bl: the same along y.
         capture_radius_bl: distance from nose to food that counts as capture.
+        capture_reward: reward of a capture, in the paper 20. Approaching for ever is worth up to
+            1 / (1 - gamma), 100 at gamma = 0.99: below that, a fish earns more by never arriving.
     """
 
     success: ClassVar[str] = "captured"
@@ -47,6 +49,7 @@ class AbstractPredation(AbstractFoodTask, HasScene):
     start_x_bl: tuple[float, float] = (5.0, 7.5)
     start_y_bl: tuple[float, float] = (0.25, 4.75)
     capture_radius_bl: PositiveFloat = 0.25
+    capture_reward: NonNegativeFloat = 20.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -150,7 +153,7 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         return Command(turn=radians(self.turn_degrees) * (action.double() - 1.0))
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Return +1 or -1 for approach, plus 20 for a capture; ``[B]``, or ``[B, M]`` of M fish.
+        """Return +1 or -1 for approach, plus ``capture_reward``; ``[B]``, or ``[B, M]`` of M fish.
 
         Approach is a smaller distance or bearing error: either suffices, as in the paper ("bearing
         or distance shrinks"). If actions are continuous it counts for each beat: if each decision
@@ -164,7 +167,7 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         approach = torch.where(comes_nearer, 1.0, -1.0)
         if self.is_continuous:
             approach = approach * (now["beats"] - before["beats"])
-        return approach + 20.0 * self.has_caught(now)
+        return approach + self.capture_reward * self.has_caught(now)
 
     def has_caught(self, now: TensorDictBase) -> Tensor:
         """Return whether the food is within reach, ``[B]``, or ``[B, M]`` of M fish."""
