@@ -209,6 +209,14 @@ def compile_inplace(
     return _reach_code(compiled)
 
 
+def is_stored(example: Sequence[Tensor], *, name: str, **patches: object) -> bool:
+    """Return whether ``compile_inplace`` has nothing to make, or finds it on the disk."""
+    if find_compiler_problem(example[0].device.type):
+        return True
+    with _set_up_inductor(example[0].device, patches) as folder:
+        return (folder / f"{_make_name(name, example)}.bin").exists()
+
+
 @contextmanager
 def _claim(path: Path) -> Iterator[None]:
     """Wait until no other process makes what belongs at ``path``."""

@@ -86,14 +86,27 @@ class Execution:
                 file=self._shared.fileno(),
                 count=self.num_workers,
                 compile=self._wants_compile,
+                has_helper=self._can_help(),
             )
             self._shared.close()
         if self.workers is not None:
             self.workers.wait()
+            self.workers.end_helper()
         if self._wants_compile:  # only now: killed meanwhile, this process would leave its compiler
             stepper.compile_check(first)
         self._is_ready = True
         logger.info("flow step ready after %.1f s", time.perf_counter() - began)
+
+    def _can_help(self) -> bool:
+        """Return whether there is something to compile, and an idle core."""
+        if not self._wants_compile or self.num_workers >= count_cores():
+            return False
+        num_threads = torch.get_num_threads()
+        torch.set_num_threads(1)  # on which code depends: as in the workers
+        try:
+            return self.batch.stepper.is_new(self.batch.first)
+        finally:
+            torch.set_num_threads(num_threads)
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
         """Advance some groups by an even number of steps, and wait; RuntimeError once closed."""

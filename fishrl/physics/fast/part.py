@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.physics.fast.compiled import InPlaceFunction, compile_inplace, is_own
+from fishrl.physics.fast.compiled import InPlaceFunction, compile_inplace, is_own, is_stored
 from fishrl.physics.fast.flow_memory import GroupMemory
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.storage import Storage
@@ -61,6 +61,13 @@ class Part:
         if self._settings is not None:
             settings = self._settings.get(example[0].device.type, {})
             self.run = compile_inplace(self._act_on, example, name=self.key, **settings)
+
+    def is_to_be_stored(self, example: Sequence[Tensor]) -> bool:
+        """Return whether ``compile`` would put new code on the disk."""
+        if self._settings is None or self.key is None:
+            return False
+        settings = self._settings.get(example[0].device.type, {})
+        return not is_stored(example, name=self.key, **settings)
 
     def _act_on(self, *leaves: Tensor) -> None:
         assert self._form is not None

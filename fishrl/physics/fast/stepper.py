@@ -79,6 +79,11 @@ class Stepper:
             if part is not self.check:
                 part.compile(example.arguments[part][0])
 
+    def is_new(self, example: FlowGroup) -> bool:
+        """Return whether ``compile`` would put new code on the disk."""
+        parts = (part for part in self.list_all() if part is not self.check)
+        return any(part.is_to_be_stored(example.arguments[part][0]) for part in parts)
+
     def compile_check(self, example: FlowGroup) -> None:
         """Compile the check, which only the process that reads the flows needs."""
         self.check.compile(example.arguments[self.check][0])

@@ -59,6 +59,7 @@ class Workers:
         file: descriptor of the shared memory.
         count: number of workers.
         compile: whether to compile the step.
+        has_helper: whether one more compiles, and ends then.
     """
 
     def __init__(
@@ -69,7 +70,9 @@ class Workers:
         file: int,
         count: int,
         compile: bool,
+        has_helper: bool = False,
     ) -> None:
+        total = count + has_helper
         self._processes = [
             start_child(
                 "from fishrl.physics.fast.workers import serve; serve()",
@@ -77,12 +80,13 @@ class Workers:
                 stdout=subprocess.PIPE,
                 pass_fds=[file],
             )
-            for _ in range(count)
+            for _ in range(total)
         ]
         for first, process in enumerate(self._processes):
-            groups = range(first, len(configs) // group_size, count)
-            share = first / count
+            groups = range(first % count, len(configs) // group_size, count)
+            share = first / total
             _send(process.stdin, (configs, group_size, groups, file, compile, share))
+        self._count = count
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
         """Advance the flows of ``groups``, and wait for the workers."""
@@ -113,6 +117,11 @@ class Workers:
             if problem is not None:
                 self.close()
                 raise ChildProcessError(f"a flow worker failed: {problem}")
+
+    def end_helper(self) -> None:
+        """End the worker that only compiles, if there is one."""
+        while len(self._processes) > self._count:
+            self._processes.pop().communicate()
 
     def close(self) -> None:
         """End the workers."""

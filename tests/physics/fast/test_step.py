@@ -26,7 +26,7 @@ from fishrl.physics.boundaries import Boundaries, NoSlip
 from fishrl.physics.cache_key import make_key
 from fishrl.physics.collision import Rates
 from fishrl.physics.fast import compiled as compiled_module
-from fishrl.physics.fast.compiled import compile_inplace
+from fishrl.physics.fast.compiled import compile_inplace, is_stored
 from fishrl.physics.fast.part import Part
 from fishrl.physics.immersed_boundary import IterativeForcing
 from fishrl.physics.lattice import Q
@@ -150,7 +150,9 @@ def test_a_flipped_bit_in_stored_code_is_noticed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    assert not is_stored((torch.eye(3)[None],), name="square")
     compile_inplace(square, (torch.eye(3)[None],), name="square")
+    assert is_stored((torch.eye(3)[None],), name="square")
     (stored,) = tmp_path.glob("fishrl/*/*.bin")
     content, generator = stored.read_bytes(), random.Random(0)
     for place in generator.sample(range(80, 8 * len(content)), 50):  # after the header
@@ -164,7 +166,7 @@ def test_a_flipped_bit_in_stored_code_is_noticed(
 
 TWO_STEPS = """
 import time, torch
-from fishrl.physics.fast.compiled import compile_inplace
+from fishrl.physics.fast.compiled import compile_inplace, is_stored
 x = torch.ones(3)
 for factor in (2.0, 3.0):
     def trace(x):

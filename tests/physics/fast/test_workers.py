@@ -13,6 +13,7 @@ import torch
 from fishrl.limits import count_cores
 from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
 from fishrl.physics.bodies.motion import Fixed
+from fishrl.physics.fast.execution import Execution
 
 CONFIG = FlowConfig(width=32, height=24, tau=0.6)
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="it reads /proc")
@@ -82,6 +83,18 @@ def test_flows_in_processes_move_as_flows_here_do_until_they_are_closed() -> Non
     assert all(process.poll() is not None for process in processes)
     with pytest.raises(RuntimeError, match="closed and cannot advance: make a new one"):
         there.advance_(2)
+
+
+def test_a_worker_that_only_compiles_ends_before_the_first_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Execution, "_can_help", lambda execution: True)
+    here, there = make_solver(0), make_solver(1)
+    for solver in (here, there):
+        solver.advance_(6)
+    assert torch.equal(here.populations(), there.populations())
+    assert there._execution.workers is not None
+    assert len(there._execution.workers._processes) == 1
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
