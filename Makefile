@@ -10,8 +10,11 @@ ARGS ?=
 TORCH ?= $(shell grep '^torch==' constraints.txt)
 # auto takes torch's CPU build unless there is a GPU; or choose one: make setup TORCH_BACKEND=cu130
 TORCH_BACKEND ?= auto
+# for UV's redirection
+SHELL := bash
 # uv is fast and finds the builds of torch; where it cannot reach them, pip installs its default.
-UV := $(BIN)/uv pip install --quiet --python $(BIN)/python -c constraints.txt
+# What it downloads is shown, not the list of what it installed.
+UV := 2> >(grep --line-buffered -v '^ [-+~] ' >&2) $(BIN)/uv pip install --python $(BIN)/python -c constraints.txt
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt
 # The first of these that is Python 3.11 to 3.14; or choose one: make setup PYTHON=/path/to/python3.13
 PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python3.14; do \

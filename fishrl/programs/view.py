@@ -87,10 +87,13 @@ class ViewConfig(PolicySettings, ViewerSettings):
         return {"the path of a .rrd file": self.recording} | super().sources
 
 
-def record(settings: ViewConfig, *, save: Path, url: str | None, progress: Callback) -> None:
-    """Run a policy from fixed starts; its flows go to a file, and to a viewer's server at a URL."""
+def record(settings: ViewConfig, *, save: Path, url: str | None, progress: Callback) -> list[str]:
+    """Run a policy from fixed starts; its flows go to a file, and to a viewer's server at a URL.
+
+    Returns: how each episode ended that was not cut.
+    """
     check_folder(save)
-    flows = settings.shown
+    flows, endings = settings.shown, list[str]()
     task, recognition, policy = settings.make_policy()
     starts = fixed_starts(task, settings.episodes, seed=settings.seed)
     max_decisions = min(task.time_limit, count_decisions(task, settings.periods))
@@ -112,6 +115,10 @@ def record(settings: ViewConfig, *, save: Path, url: str | None, progress: Callb
             stack.callback(drawing.close)
 
         def draw(start: int, frame: Frame) -> None:
+            if frame.ending is not None:
+                remedy = f" (seed={settings.seed + 1}: from another start)"
+                words = f"{frame.ending.words}{'' if frame.ending.is_success else remedy}"
+                endings.append(f"flow {flows[start]}, after {frame.time:.1f} T: {words}")
             if drawing is None:
                 film.frames.append(frame)
             else:
@@ -130,6 +137,7 @@ def record(settings: ViewConfig, *, save: Path, url: str | None, progress: Callb
         )
     if settings.is_film:
         write_film(film, save)
+    return endings
 
 
 def wait_for_interrupt() -> None:
@@ -167,7 +175,9 @@ def main(settings: ViewConfig) -> None:
                 server = stack.enter_context(closing(Server(port=settings.port)))
                 url = server.url
             with Progress() as progress:
-                record(settings, save=path, url=url, progress=progress)
+                endings = record(settings, save=path, url=url, progress=progress)
+            for ending in endings:
+                print(ending)
             if settings.save is not None:
                 print(f"written: {path}, {path.stat().st_size / 1e6:.2f} MB")
             if settings.live:
