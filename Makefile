@@ -111,7 +111,7 @@ bench: $(DEV_STAMP) ## run the benchmarks, about ten minutes; ARGS="groups=[solv
 validate: $(DEV_STAMP) ## compare the solver with the literature and write docs/validation.md
 	$(BIN)/python -m experiments.validate $(ARGS)
 
-validate-quick: $(DEV_STAMP) ## coarse cases only, some four minutes with empty caches; the page goes to runs/validation
+validate-quick: $(DEV_STAMP) ## coarse cases only, some three minutes with empty caches; the page goes to runs/validation
 	$(BIN)/python -m experiments.validate quick=true $(ARGS)
 
 format: $(DEV_STAMP) ## format the code

@@ -38,7 +38,7 @@ class ValidateSettings(Settings):
 
     Args:
         cases: names of cases; by default all.
-        quick: coarse runs only, some four minutes with empty caches.
+        quick: coarse runs only, some three minutes with empty caches.
         fresh: repeat cached jobs too.
         jobs: parallel processes.
         folder: folder of the results, and of the pages unless all cases run.

@@ -89,7 +89,7 @@ JOBS = [
         drive_cavity,
         {"size": size, "reynolds": reynolds, "is_half_way": is_half_way},
         cost=(20 if reynolds == 100 else 80) * size**3 / LID_SPEED,
-        is_quick=is_half_way and size < 256,
+        is_quick=is_half_way and size == 128,
     )
     for reynolds in SPECTRAL
     for is_half_way in WALLS

@@ -102,15 +102,13 @@ def swim(
     return {"speed": speeds, "power": powers, "slip": max(slips), "tail_speed": tail_speed}
 
 
-def make_swim(
-    body_length: int, num_beats: int, *, is_quick: bool = False, **changes: float | str | bool
-) -> Job:
+def make_swim(body_length: int, num_beats: int, **changes: float | str | bool) -> Job:
     """Return a job of ``swim``; ``changes`` are its other arguments."""
     speed = float(changes.get("max_wall_speed", DEFAULT_WALL_SPEED))
     tail_speed = GAITS[str(changes.get("gait", "carling"))].tail_speed
     num_steps = num_beats * tail_speed * body_length / speed
     arguments = {"body_length": body_length, "num_beats": num_beats, **changes}
-    return Job(swim, arguments, cost=50.0 * body_length**2 * num_steps, is_quick=is_quick)
+    return Job(swim, arguments, cost=50.0 * body_length**2 * num_steps)
 
 
 def draw_speed(axes: Axes, run: Result, *style: Any, **options: Any) -> None:
@@ -122,7 +120,7 @@ def draw_speed(axes: Axes, run: Result, *style: Any, **options: Any) -> None:
 
 
 JOBS = [
-    *(make_swim(n, NUM_BEATS, is_quick=n == LENGTHS[0]) for n in LENGTHS),
+    *(make_swim(n, NUM_BEATS) for n in LENGTHS),
     *(make_swim(VARIANT_LENGTH, NUM_BEATS, **changes) for changes in VARIANTS.values()),
 ]
 
