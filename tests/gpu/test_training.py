@@ -35,6 +35,7 @@ pytestmark = [
 ]
 
 
+@pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize(("first", "second"), [("cuda", "cpu"), ("cpu", "cuda")])
 def test_a_run_goes_on_on_another_device(first: str, second: str, tmp_path: Path) -> None:
     summary = train(
