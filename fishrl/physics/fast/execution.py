@@ -1,6 +1,7 @@
 """Where a batch of flows lies and advances: in this process, or in one process per core."""
 
 import logging
+import os
 import time
 from collections.abc import Collection, Sequence
 from typing import IO
@@ -99,7 +100,8 @@ class Execution:
 
     def _can_help(self) -> bool:
         """Return whether there is something to compile, and an idle core."""
-        if not self._wants_compile or self.num_workers >= count_cores():
+        busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0  # not on Windows
+        if not self._wants_compile or self.num_workers + busy >= count_cores():
             return False
         num_threads = torch.get_num_threads()
         torch.set_num_threads(1)  # on which code depends: as in the workers
