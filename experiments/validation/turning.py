@@ -15,8 +15,10 @@ from matplotlib.figure import Figure
 
 from experiments.validation.case import Case, Check, Job, Result, Runs
 from experiments.validation.wake import start_flow
-from fishrl.physics import Bending, Commanded, Scales
+from fishrl.physics import Bending, Commanded, Fish, Scales
 from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.flow import Coupling
+from fishrl.physics.units import DEFAULT_WALL_SPEED
 
 BODY_LENGTH = 50
 REYNOLDS = 7000.0
@@ -27,22 +29,35 @@ GAINS = (None, 0.5, 1.0, 2.0)
 HEADLINE = "turn of the body axis, degrees per beat, bending, gain 1"
 
 
-def turn(*, gain: float | None) -> Result:
+def turn(
+    *,
+    gain: float | None,
+    coupling: str = "implicit",
+    body_length: int = BODY_LENGTH,
+    reynolds: float = REYNOLDS,
+    max_wall_speed: float = DEFAULT_WALL_SPEED,
+    num_before: int = NUM_BEFORE,
+    num_turns: int = NUM_TURNS,
+) -> Result:
     """Swim straight, turn left and swim on, by command (no gain) or by bending with a gain.
 
     Returns the path (L), and of each beat the turn of the body axis (degrees) and speed (L / T).
     """
-    scales = Scales.from_budget(body_length=BODY_LENGTH, reynolds=REYNOLDS)
+    scales = Scales.from_budget(
+        body_length=body_length, reynolds=reynolds, max_wall_speed=max_wall_speed
+    )
     motion = Commanded() if gain is None else Bending(gain=gain)
-    config = make_swimmer_config(scales, motion=motion)
-    start = [c * BODY_LENGTH for c in START_BL]
+    skin = Coupling(coupling)
+    fish = Fish(body_length=body_length, motion=motion, **skin.body_settings)
+    config = make_swimmer_config(scales, bodies=(fish,), coupling=skin)
+    start = [c * body_length for c in START_BL]
     solver = start_flow(config, start, pi, frequency=1.0 / scales.period)
     path, axes = [START_BL], [pi]
-    for beat in range(NUM_BEFORE + NUM_TURNS + NUM_AFTER):
-        is_turning = NUM_BEFORE <= beat < NUM_BEFORE + NUM_TURNS
+    for beat in range(num_before + num_turns + NUM_AFTER):
+        is_turning = num_before <= beat < num_before + num_turns
         solver.command_(torch.tensor([radians(TURN) if is_turning else 0.0]), scales.period)
         solver.advance_(scales.period)
-        x, y = (solver.body.position[0] / BODY_LENGTH).tolist()
+        x, y = (solver.body.position[0] / body_length).tolist()
         path.append((x, y))
         axes.append(float(solver.body.heading[0] + solver.body.internal_angle[0]))
     if solver.is_diverged().any():

@@ -19,9 +19,6 @@ from torch import Tensor
 CLOCKWISE, KEEP, COUNTER_CLOCKWISE = 0, 1, 2
 #: Numbers in one observation.
 NUM_FEATURES = 4
-#: Cruising speed of a fish, body lengths per tail beat, and radius of its tightest turn, of 15° per
-#: beat; of a fish of 50 nodes with the immersed boundary, and less than with a sharp skin.
-SWIM_SPEED_BL, TURN_RADIUS_BL = 0.4, 1.7
 #: Time between the places of the food that a task foresees, as in ``envs.tasks.food``.
 LEAD_T = 0.25
 
@@ -114,18 +111,28 @@ class InterceptPolicy(_TurningPolicy):
     Heading follows from each observation (direction of the food minus bearing error), the path from
     ``food_ahead``, which the task reports: the food's places ``[B, K, 2]`` from now on, every
     ``LEAD_T``, in body lengths. The controller picks the earliest meeting point that a turn of
-    radius ``TURN_RADIUS_BL`` followed by a straight line reaches in time (Dubins 1957: shortest
+    radius ``turn_radius_bl`` followed by a straight line reaches in time (Dubins 1957: shortest
     paths of bounded curvature, free final heading). Points inside the turning circle are out of
     reach, so a later one is chosen.
 
     Args:
+        speed_bl: cruising speed of the fish, L / T.
+        turn_radius_bl: radius of its tightest turn.
         turn: see ``PursuitPolicy``.
         is_continuous: see ``PursuitPolicy``.
     """
 
-    def __init__(self, *, turn: float = math.radians(15.0), is_continuous: bool = False) -> None:
+    def __init__(
+        self,
+        *,
+        speed_bl: float = 0.4,
+        turn_radius_bl: float = 1.7,
+        turn: float = math.radians(15.0),
+        is_continuous: bool = False,
+    ) -> None:
         super().__init__(turn=turn, is_continuous=is_continuous)
         self.in_keys.append("food_ahead")
+        self.speed_bl, self.turn_radius_bl = speed_bl, turn_radius_bl
 
     def aim(self, tensordict: TensorDictBase) -> Tensor:
         """Return the turn of the shortest path to the meeting point."""
@@ -136,10 +143,10 @@ class InterceptPolicy(_TurningPolicy):
         move_x, move_y = (path - path[..., :1, :]).unbind(-1)
         x, y, cos, sin = x + move_x, y + move_y, heading.cos(), heading.sin()
         # From here on in the frame of the nose now.
-        length, angle = _shortest_path(cos * x + sin * y, cos * y - sin * x, TURN_RADIUS_BL)
-        is_in_time = length <= SWIM_SPEED_BL * lead
+        length, angle = _shortest_path(cos * x + sin * y, cos * y - sin * x, self.turn_radius_bl)
+        is_in_time = length <= self.speed_bl * lead
         # Earliest meeting point; where there is none, the one missed by the least time.
-        delay = torch.where(is_in_time, lead - lead[-1], length / SWIM_SPEED_BL - lead)
+        delay = torch.where(is_in_time, lead - lead[-1], length / self.speed_bl - lead)
         return angle.gather(-1, delay.argmin(-1, keepdim=True)).squeeze(-1)
 
 

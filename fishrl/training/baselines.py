@@ -27,6 +27,7 @@ from fishrl.modules import (
     bang_bang,
 )
 from fishrl.modules.gait_controllers import FrequencyController
+from fishrl.physics.flow import Coupling
 from fishrl.settings import suggest
 
 #: Makes a policy for a task, given the seed of its random numbers.
@@ -122,9 +123,22 @@ def make_pursuit(task: Any, seed: int) -> PursuitPolicy:
 
 @baseline("intercept", Predation)
 def make_intercept(task: Any, seed: int) -> InterceptPolicy:
-    """Make interception of the food, whose path the task reports."""
-    is_continuous = task.action_bounds is not None
-    return InterceptPolicy(turn=math.radians(task.turn_degrees), is_continuous=is_continuous)
+    """Make interception of the food, whose path the task reports.
+
+    Cruising speed (L / T) and radius of the tightest turn (speed in a turn of 15° per T / its rate)
+    are measured by ``experiments.validation.turning.turn(gain=None, num_before=8, num_turns=6,
+    coupling="bounce-back")["speed"]``, at L = 32 with ``body_length=32, reynolds=2000,
+    max_wall_speed=0.1``. Those of the immersed boundary are of L = 50.
+    """
+    speed_bl, turn_radius_bl = 0.4, 1.7
+    if task.coupling is Coupling.BOUNCE_BACK:
+        speed_bl, turn_radius_bl = (0.57, 2.7) if task.body_length > 40 else (0.45, 2.3)
+    return InterceptPolicy(
+        speed_bl=speed_bl,
+        turn_radius_bl=turn_radius_bl,
+        turn=math.radians(task.turn_degrees),
+        is_continuous=task.action_bounds is not None,
+    )
 
 
 @baseline("keep_place", Follower)
