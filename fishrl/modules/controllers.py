@@ -57,13 +57,22 @@ class _TurningPolicy(TensorDictModuleBase):
     """Base of controllers that turn towards the food at full speed.
 
     Args:
-        turn: heading change of one action in radians; the largest one of a continuous action.
+        turn: heading change of one action in radians; the largest one of a continuous action. Of a
+            fish that bends, the angle to turn by for which it bends most.
         is_continuous: whether actions are.
+        yaw_damping_T: angle to turn by less for each radian per T at which the fish turns. Unless
+            0, the yaw rate is observed just before the food, the last of the fish's own motion.
     """
 
-    def __init__(self, *, turn: float = math.radians(15.0), is_continuous: bool = False) -> None:
+    def __init__(
+        self,
+        *,
+        turn: float = math.radians(15.0),
+        is_continuous: bool = False,
+        yaw_damping_T: float = 0.0,
+    ) -> None:
         super().__init__()
-        self.turn, self.is_continuous = turn, is_continuous
+        self.turn, self.is_continuous, self.yaw_damping_T = turn, is_continuous, yaw_damping_T
         self.in_keys, self.out_keys = ["observation_stack"], ["action"]
         if not is_continuous:
             self.in_keys.append("action_mask")
@@ -78,6 +87,9 @@ class _TurningPolicy(TensorDictModuleBase):
         The first legal action stands in for an illegal one.
         """
         angle = self.aim(tensordict)
+        if self.yaw_damping_T:
+            yaw_rate = tensordict["observation_stack"][..., -NUM_FEATURES - 1]
+            angle = angle - self.yaw_damping_T * yaw_rate
         if self.is_continuous:
             share = (angle / self.turn).clamp(-1.0, 1.0)
             return tensordict.set("action", torch.stack((share, torch.ones_like(share)), -1))
@@ -129,8 +141,9 @@ class InterceptPolicy(_TurningPolicy):
         turn_radius_bl: float = 1.7,
         turn: float = math.radians(15.0),
         is_continuous: bool = False,
+        yaw_damping_T: float = 0.0,
     ) -> None:
-        super().__init__(turn=turn, is_continuous=is_continuous)
+        super().__init__(turn=turn, is_continuous=is_continuous, yaw_damping_T=yaw_damping_T)
         self.in_keys.append("food_ahead")
         self.speed_bl, self.turn_radius_bl = speed_bl, turn_radius_bl
 

@@ -117,8 +117,7 @@ def make_random(task: Any, seed: int) -> RandomPolicy:
 @baseline("pursuit", Predation, PredationPair)
 def make_pursuit(task: Any, seed: int) -> PursuitPolicy:
     """Make pursuit of the food; each of two fish acts as if the other were not there."""
-    is_continuous = task.action_bounds is not None
-    return PursuitPolicy(turn=math.radians(task.turn_degrees), is_continuous=is_continuous)
+    return PursuitPolicy(**_choose_steering(task))
 
 
 @baseline("intercept", Predation)
@@ -128,17 +127,24 @@ def make_intercept(task: Any, seed: int) -> InterceptPolicy:
     Cruising speed (L / T) and radius of the tightest turn (speed in a turn of 15° per T / its rate)
     are measured by ``experiments.validation.turning.turn(gain=None, num_before=8, num_turns=6,
     coupling="bounce-back")["speed"]``, at L = 32 with ``body_length=32, reynolds=2000,
-    max_wall_speed=0.1``. Those of the immersed boundary are of L = 50.
+    max_wall_speed=0.1``. Those of the immersed boundary are of L = 50, those of a fish that bends
+    by 0.3 L of L = 32.
     """
     speed_bl, turn_radius_bl = 0.4, 1.7
     if task.coupling is Coupling.BOUNCE_BACK:
         speed_bl, turn_radius_bl = (0.57, 2.7) if task.body_length > 40 else (0.45, 2.3)
+    if task.bends:
+        speed_bl, turn_radius_bl = 0.4, 2.5
     return InterceptPolicy(
-        speed_bl=speed_bl,
-        turn_radius_bl=turn_radius_bl,
-        turn=math.radians(task.turn_degrees),
-        is_continuous=task.action_bounds is not None,
+        speed_bl=speed_bl, turn_radius_bl=turn_radius_bl, **_choose_steering(task)
     )
+
+
+def _choose_steering(task: Predation | PredationPair) -> dict[str, Any]:
+    """Return how to turn; a fish that bends needs the gains of ``KeepCourse``."""
+    turn, damping = (1.0 / 3.0, 0.1) if task.bends else (math.radians(task.turn_degrees), 0.0)
+    is_continuous = task.action_bounds is not None
+    return {"turn": turn, "yaw_damping_T": damping, "is_continuous": is_continuous}
 
 
 @baseline("keep_place", Follower)

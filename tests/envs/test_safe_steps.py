@@ -44,8 +44,11 @@ def test_skipped_checks_change_no_episode(monkeypatch: pytest.MonkeyPatch) -> No
     assert num_some < 0.5 * num_every
 
 
-def test_swimming_fish_stays_below_the_assumed_speed(monkeypatch: pytest.MonkeyPatch) -> None:
-    task = Predation(**TINY)
+@pytest.mark.parametrize("bends", [False, True])
+def test_swimming_fish_stays_below_the_assumed_speed(
+    monkeypatch: pytest.MonkeyPatch, bends: bool
+) -> None:
+    task = Predation(**TINY | {"wall_margin_bl": 0.3}, bends=bends, turn_degrees=12.0)
     env = make_flows(task, 2, seed=1)
     env.reset()
     largest, last = 0.0, env.solver.markers()

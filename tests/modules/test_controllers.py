@@ -104,3 +104,13 @@ def test_intercept_does_not_circle_food_inside_its_turning_circle() -> None:
     td = seen(food=(0.0, 1.5), heading=0.0)
     assert PursuitPolicy()(td.clone())["action"].tolist() == [COUNTER_CLOCKWISE]
     assert InterceptPolicy()(td)["action"].tolist() != [COUNTER_CLOCKWISE]
+
+
+def test_damped_pursuit_stops_bending_before_the_fish_has_turned_too_far() -> None:
+    own = torch.zeros(1, 5)
+    for yaw_rate, action in ((0.0, COUNTER_CLOCKWISE), (2.0, KEEP), (6.0, CLOCKWISE)):
+        own[0, -1] = yaw_rate  # radians per T
+        td = seen(food=(3.0, 1.0), heading=0.0)  # 0.32 radians to the left
+        td["observation_stack"] = torch.cat((own, td["observation_stack"][:, -4:]), -1)
+        policy = PursuitPolicy(turn=0.5, yaw_damping_T=0.1)
+        assert policy(td)["action"].tolist() == [action]

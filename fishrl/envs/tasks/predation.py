@@ -1,5 +1,6 @@
 """Predation, the paper's first task: catch moving food without touching a wall."""
 
+from dataclasses import replace
 from functools import cached_property
 from math import ceil, degrees, floor, pi, radians
 from typing import Annotated, ClassVar, Literal, final
@@ -12,11 +13,18 @@ from torch import Tensor
 from fishrl.envs.extensions import HasScene
 from fishrl.envs.macro_actions import Rising
 from fishrl.envs.scene import Marks, Panel, Scene, Series
+from fishrl.envs.senses import measure_own_motion
 from fishrl.envs.sensors import compute_clearance, sense_target
 from fishrl.envs.task import Command
 from fishrl.envs.tasks.food import AbstractFoodTask
+from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.bodies.motion import Bending
+from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
+
+#: Time constant of a bend, as in ``BendControl``.
+RESPONSE_T = 0.3
 
 _Frequency = Annotated[float, Field(ge=0, le=10)]
 
@@ -29,8 +37,11 @@ class AbstractPredation(AbstractFoodTask, HasScene):
 
     Args:
         action: discrete or continuous.
+        bends: actions bend the fish, and only the water turns it. It decides several times per T,
+            and also observes its own motion, see ``senses.list_senses``.
         turn_degrees: heading change of one action, spread smoothly over the interval; the largest
-            one of a continuous action.
+            one of a continuous action. Of a fish that bends, the bend (see ``motion.Bending``):
+            15° deflect the tail by 0.26 L.
         frequency_range: least and largest tail-beat frequency of a continuous action, beats per T;
             1 with discrete actions.
         start_x_bl: range of the initial nose position, in body lengths. Fish start on whole nodes
@@ -44,6 +55,7 @@ class AbstractPredation(AbstractFoodTask, HasScene):
     success: ClassVar[str] = "captured"
 
     action: Literal["discrete", "continuous"] = "discrete"
+    bends: bool = False
     turn_degrees: Annotated[float, Field(ge=0, le=180)] = 15.0
     frequency_range: Annotated[tuple[_Frequency, _Frequency], Rising] = (0.5, 1.0)
     start_x_bl: tuple[float, float] = (5.0, 7.5)
@@ -55,6 +67,13 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         super().__post_init__()
         if self.is_continuous and not self.turn_degrees:
             raise ValueError("turn_degrees = 0: a continuous action needs one greater than 0")
+        tail_speed = self.bend_rate_bl * self.scales.reference_speed
+        if tail_speed > MAX_IMPOSED_SPEED:
+            raise ValueError(
+                f"turn_degrees = {self.turn_degrees:g} bends the tail at up to {tail_speed:.3g} "
+                f"nodes per step, allowed is {MAX_IMPOSED_SPEED}; bend less, or lower "
+                "max_wall_speed"
+            )
         if radians(self.turn_degrees) > self.largest_turn:
             raise ValueError(
                 f"turn_degrees = {self.turn_degrees:g} within control_interval_T = "
@@ -82,6 +101,28 @@ class AbstractPredation(AbstractFoodTask, HasScene):
     def is_continuous(self) -> bool:
         """Whether actions are continuous."""
         return self.action == "continuous"
+
+    @property
+    def bend_rate_bl(self) -> float:
+        """Largest speed of the tail due to a bend, from one side to the other, L / T."""
+        return 2.0 * radians(self.turn_degrees) / RESPONSE_T if self.bends else 0.0
+
+    @property
+    def largest_turn(self) -> float:
+        """Largest turn of an action, radians, or its largest bend."""
+        return radians(self.turn_degrees) if self.bends else super().largest_turn
+
+    @property
+    def swimming_speed(self) -> float:
+        """Bound on the speed of a marker, with a bend but without commanded turns."""
+        return super().swimming_speed + self.bend_rate_bl * self.scales.reference_speed
+
+    @cached_property
+    def fish(self) -> Fish:
+        """The fish, which is turned or bends."""
+        if not self.bends:
+            return super().fish
+        return replace(super().fish, motion=Bending(response=self.control_interval_T / RESPONSE_T))
 
     @property
     def num_actions(self) -> int:
@@ -141,12 +182,14 @@ class AbstractPredation(AbstractFoodTask, HasScene):
     @property
     def marker_speed(self) -> float:
         """Bound on the speed of a marker in nodes per step, commanded turns included."""
+        if self.bends:
+            return self.swimming_speed
         # a turn takes the whole interval and is twice as fast at its middle as on average
         turning = 2.0 * radians(self.turn_degrees) / self.n_substeps * self.body_length
         return self.swimming_speed + turning
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Turn clockwise, not at all, or counter-clockwise; or turn and beat as the action says."""
+        """Turn (or bend) clockwise, not at all, or counter-clockwise; or also beat, as told."""
         if self.is_continuous:
             turn, frequency = action.unbind(-1)
             return Command(turn.deg2rad(), frequency / self.scales.period)
@@ -156,8 +199,8 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         """Return +1 or -1 for approach, plus ``capture_reward``; ``[B]``, or ``[B, M]`` of M fish.
 
         Approach is a smaller distance or bearing error: either suffices, as in the paper ("bearing
-        or distance shrinks"). If actions are continuous it counts for each beat: if each decision
-        counted alike, the slowest approach would be rewarded most.
+        or distance shrinks"). If actions are continuous, or bends, it counts for each beat: if each
+        decision counted alike, the slowest approach would be rewarded most.
         """
         (old_distance, old_error), (distance, error) = (
             td["target"][..., 2:].unbind(-1)  # distance and bearing error
@@ -165,7 +208,7 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         )
         comes_nearer = (distance < old_distance) | (error.abs() < old_error.abs())
         approach = torch.where(comes_nearer, 1.0, -1.0)
-        if self.is_continuous:
+        if self.is_continuous or self.bends:
             approach = approach * (now["beats"] - before["beats"])
         return approach + self.capture_reward * self.has_caught(now)
 
@@ -189,6 +232,13 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         steps = torch.minimum((now["clearance"] - self.wall_margin) / speed, to_food)
         return steps.amin(1) if self.num_fish > 1 else steps
 
+    def measure_fish(self, body: BodyState) -> dict[str, Tensor]:
+        """Return a fish's heading, tail beats and what it observes of itself, ``[B, ...]``."""
+        own = measure_own_motion(body, self.scales.period)["own_motion"]
+        heading = body.heading + body.internal_angle if self.bends else body.heading.clone()
+        own = own if self.bends else own[:, :0]
+        return {"heading": heading, "beats": body.beats.clone(), "own_motion": own}
+
     def _make_starts(self, head: Tensor, chance: Tensor) -> TensorDict:
         """Return starts that face -x, of noses ``head`` and other random numbers ``[E, ...]``."""
         starts = {"head": head, "heading": torch.full_like(head[..., 0], pi)} | self.draw_path(
@@ -205,16 +255,17 @@ class AbstractPredation(AbstractFoodTask, HasScene):
 
     @property
     def senses(self) -> tuple[str, ...]:
-        """The food, as seen from the nose."""
-        return ("place of the food",)
+        """The food, as seen from the nose, and the motion of a fish that bends."""
+        return ("own motion",) * self.bends + ("place of the food",)
 
     @property
     def action_names(self) -> tuple[str, ...]:
         """Names of the turns, or of the two numbers."""
+        verb = "bend" if self.bends else "turn"
         if self.is_continuous:
             low, high = self.frequency_range
-            return f"turn, ±{self.turn_degrees:g}°", f"frequency, {low:g} to {high:g} beats/T"
-        return f"turn {-self.turn_degrees:g}°", "keep", f"turn +{self.turn_degrees:g}°"
+            return f"{verb}, ±{self.turn_degrees:g}°", f"frequency, {low:g} to {high:g} beats/T"
+        return f"{verb} {-self.turn_degrees:g}°", "keep", f"{verb} +{self.turn_degrees:g}°"
 
     def name_endings(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Tell whether the food was caught or a wall was hit, by any fish."""
@@ -251,7 +302,10 @@ class Predation(AbstractPredation):
     The paper (Task 1) gives neither the food's x and limits nor the capture radius.
     """
 
-    n_obs: ClassVar[int] = 4
+    @property
+    def n_obs(self) -> int:
+        """Length of one observation."""
+        return 4 + 5 * self.bends
 
     def starts_from(self, uniform: Tensor) -> TensorDict:
         """Draw nose positions (on nodes, facing -x) and the food's first direction."""
@@ -262,24 +316,21 @@ class Predation(AbstractPredation):
 
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Measure nose, heading, food, its relative position and the distance from the walls."""
-        markers, heading = solver.markers(), solver.body.heading.clone()
+        markers, own = solver.markers(), self.measure_fish(solver.body)
         head, food = markers[:, 0].clone(), self.locate_food(starts, solver.body.age)
-        beats = {"beats": solver.body.beats.clone()} if self.is_continuous else {}
         now = {
-            **beats,
+            **own,
             "head": head,
-            "heading": heading,
             "food": food,
             "food_ahead": self.foresee_food(starts, solver.body.age),
-            "target": sense_target(head, heading, food, body_length=self.body_length),
+            "target": sense_target(head, own["heading"], food, body_length=self.body_length),
             "clearance": compute_clearance(markers, solver.config),
         }
         return TensorDict(now, starts.batch_size, device=starts.device)
 
     def observe(self, now: TensorDictBase) -> Tensor:
-        """Return the food relative to the nose, see ``sensors.sense_target``."""
-        target: Tensor = now["target"]
-        return target.float()
+        """Return own motion, if the fish bends, and the food, see ``sensors.sense_target``."""
+        return torch.cat((now["own_motion"], now["target"]), -1).float()
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``captured`` ``[B]``, and ``food_ahead``, the path of the food."""

@@ -35,7 +35,6 @@ class PredationPair(AbstractPredation):
         start_gap_bl: smallest distance of the two noses along y at the start.
     """
 
-    n_obs: ClassVar[int] = 8
     num_fish: ClassVar[int] = 2
 
     start_y_bl: tuple[float, float] = (1.0, 4.0)
@@ -66,6 +65,11 @@ class PredationPair(AbstractPredation):
             )
 
     @property
+    def n_obs(self) -> int:
+        """Length of one observation."""
+        return 8 + 5 * self.bends
+
+    @property
     def lanes(self) -> tuple[tuple[int, int], tuple[int, int]]:
         """First and last node of the noses along y, of fish 0 and of fish 1."""
         low, high = self.start_range[1]
@@ -88,18 +92,18 @@ class PredationPair(AbstractPredation):
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Measure what each fish observes, its distance from the walls, and the gap of the two."""
         outlines = [solver.markers(index) for index in range(self.num_fish)]
-        headings = [body.heading for body in solver.bodies[: self.num_fish]]
+        every = [self.measure_fish(body) for body in solver.bodies[: self.num_fish]]
         noses = [outline[:, 0] for outline in outlines]
         food = self.locate_food(starts, solver.body.age)
 
         def sense(place: Tensor, fish: int) -> Tensor:
-            return sense_target(noses[fish], headings[fish], place, body_length=self.body_length)
+            return sense_target(
+                noses[fish], every[fish]["heading"], place, body_length=self.body_length
+            )
 
         clearance = [compute_clearance(outline, solver.config) for outline in outlines]
-        swum = [body.beats for body in solver.bodies[: self.num_fish]]
-        beats = {"beats": torch.stack(swum, 1)} if self.is_continuous else {}
         now = {
-            **beats,
+            **{name: torch.stack([own[name] for own in every], 1) for name in every[0]},
             "food": food,
             "target": torch.stack([sense(food, fish) for fish in (0, 1)], 1),
             "other": torch.stack([sense(noses[1 - fish], fish) for fish in (0, 1)], 1),
@@ -109,8 +113,8 @@ class PredationPair(AbstractPredation):
         return TensorDict(now, starts.batch_size, device=starts.device)
 
     def observe(self, now: TensorDictBase) -> Tensor:
-        """Return the other fish and the food relative to the nose."""
-        return torch.cat((now["other"], now["target"]), -1).float()
+        """Return the other fish, own motion if it bends, and the food."""
+        return torch.cat((now["other"], now["own_motion"], now["target"]), -1).float()
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
         """Subtract the penalty for contact."""
