@@ -126,6 +126,9 @@ def check_four_arms() -> None:
     assert min(stays["lateral line"]) > max(stays["–"])
     see, all_senses = stays["place, drift, heading"], stays["place, drift, heading, lateral line"]
     assert abs(fmean(all_senses) - fmean(see)) < 1.2 and min(see) > max(stays["lateral line"])
+    greedy = read("four_arms", "behaviour", "policy", "condition")
+    blind, without = (greedy[arm, "as trained"] for arm in ("lateral line", "–"))
+    assert find_interval(blind, "duration, T")[0] > 1.5 * find_interval(without, "duration, T")[1]
 
 
 def check_reproduction() -> None:

@@ -2,18 +2,21 @@
 
     python studies/four_arms/greedy.py sight all line own --seeds 0 1 2 3 4
 
-Every policy is a row of ``data/greedy.csv`` in each condition; rows that exist are not run again.
+Every policy is a row of ``data/greedy.json`` in each condition; rows that exist are not run again.
 The episodes are kept in ``runs/four_arms``; ``--draw`` draws where the noses were from
 those there, and writes ``data/behaviour.csv``, the means over seeds.
 """
 
 import argparse
 import csv
+import json
 from collections import defaultdict
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from statistics import mean, stdev
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -46,7 +49,7 @@ NAMES = {
     "pid": "hand-crafted `pid`, not tuned",
 }
 EPISODES, PERIODS = 24, 40
-KEPT = Path("runs/four_arms")
+KEPT, ROWS = Path("runs/four_arms"), FOLDER / "data/greedy.json"
 #: Of ``diagnose``; besides them the share of the time beside the street and near the disc.
 KEYS = ("survival_T", "survivors", "diverged", "x_mean", "frequency", "frequency_over_shedding")
 KEYS += ("in_street", "phase_lock", "angle_mean", "angle_max", "work", "positive_work")
@@ -90,7 +93,7 @@ def make_policy(arm: str, seed: int, task: KarmanGait) -> torch.nn.Module:
     return actor
 
 
-def run(arm: str, seed: int, condition: str, progress: Progress) -> dict[str, object]:
+def run(arm: str, seed: int, condition: str, progress: Progress) -> dict[str, Any]:
     """Return one row of the table."""
     task = make_task(arm, condition)
     name = f"{arm}-{seed}, {condition}"
@@ -112,8 +115,13 @@ def run(arm: str, seed: int, condition: str, progress: Progress) -> dict[str, ob
         "arm": arm,
         "seed": seed,
         "condition": condition,
-        **{key: f"{numbers[key]:.4g}" for key in (*KEYS, "beside", "near")},
+        **{key: float(f"{numbers[key]:.4g}") for key in (*KEYS, "beside", "near")},
     }
+
+
+def read_rows() -> list[dict[str, Any]]:
+    """Return the rows of all policies that have been run."""
+    return json.loads(ROWS.read_text(encoding="utf-8")) if ROWS.exists() else []
 
 
 COLUMNS = {  # of the table: entry, factor
@@ -129,15 +137,14 @@ COLUMNS = {  # of the table: entry, factor
 def summarise() -> None:
     """Write means over seeds, with the standard deviation of the duration."""
     groups = defaultdict(list)
-    with (FOLDER / "data/greedy.csv").open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            groups[row["arm"], row["condition"]].append(row)
+    for row in read_rows():
+        groups[row["arm"], row["condition"]].append(row)
     order = [*OBSERVES, "pid"]
     rows = []
     for (arm, condition), found in sorted(groups.items(), key=lambda item: order.index(item[0][0])):
         row = {"policy": NAMES[arm], "condition": condition, "seeds": len(found)}
         for name, (key, factor) in COLUMNS.items():
-            values = [factor * float(each[key]) for each in found]
+            values = [factor * each[key] for each in found]
             digits = 3 if "work" in name else 0 if "%" in name else 2 if "x" in name else 1
             row[name] = f"{mean(values):.{digits}f}"
             if name == "duration, T":
@@ -180,23 +187,14 @@ def main() -> None:
     if options.draw:
         summarise()
         return draw()
-    path = FOLDER / "data/greedy.csv"
+    rows = read_rows()
+    done = {(row["arm"], row["seed"], row["condition"]) for row in rows}
     with Progress() as progress:
-        for seed in options.seeds:
-            for arm in options.arms:
-                kept = []
-                if path.exists():
-                    with path.open(newline="", encoding="utf-8") as file:
-                        kept = list(csv.DictReader(file))
-                key = (arm, str(seed), options.condition)
-                if any((row["arm"], row["seed"], row["condition"]) == key for row in kept):
-                    continue
-                row = run(arm, seed, options.condition, progress)
-                with path.open("a", newline="", encoding="utf-8") as file:
-                    table = csv.DictWriter(file, list(row), lineterminator="\n")
-                    if not kept:
-                        table.writeheader()
-                    table.writerow(row)
+        for seed, arm in product(options.seeds, options.arms):
+            if (arm, seed, options.condition) not in done:
+                rows.append(run(arm, seed, options.condition, progress))
+                lines = ",\n".join(json.dumps(row) for row in rows)
+                ROWS.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
