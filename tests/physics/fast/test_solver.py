@@ -10,16 +10,7 @@ import torch
 from torch._inductor.cpp_builder import cpp_compiler_search
 from torch.profiler import ProfilerActivity, profile
 
-from fishrl.physics import (
-    Fish,
-    FlowConfig,
-    FlowState,
-    Foil,
-    InPlaceSolver,
-    Scales,
-    Stroke,
-    Strokes,
-)
+from fishrl.physics import Fish, FlowConfig, FlowState, Foil, InPlaceSolver, Stroke, Strokes
 from fishrl.physics.bodies.motion import Bending, Commanded, Fixed, Free, Surging, Towed
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.boundaries import (
@@ -31,7 +22,7 @@ from fishrl.physics.boundaries import (
     Profile,
     Side,
 )
-from fishrl.physics.cases import PERIODIC, make_swimmer_config
+from fishrl.physics.cases import PERIODIC
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.fast import execution as execution_module
 from fishrl.physics.flow import Coupling, Sponge, make_params, make_rest, make_uniform
@@ -185,23 +176,16 @@ def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way()
     torch.testing.assert_close(solver.stream_speed, torch.tensor([0.05, 0.03, 0.02]).double())
 
 
-#: A tank whose code ``docs/tutorials/first_film.md`` compiles too.
-LARGE = make_swimmer_config(Scales.from_budget(body_length=50, reynolds=2000.0))
-
-
 @pytest.mark.compile
-@pytest.mark.parametrize(
-    "config",
-    [LARGE, pytest.param(make_tank(**CHANGES["strokes"]), marks=pytest.mark.slow)],
-    ids=["commanded", "strokes"],
-)
-def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit_in_a_process(
-    config: FlowConfig,
+@pytest.mark.parametrize("name", ["commanded", pytest.param("strokes", marks=pytest.mark.slow)])
+def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit_in_processes(
+    name: str,
 ) -> None:
-    solver, twin = (make_solver(config, slice(2), compile=True, num_workers=num) for num in (0, 1))
-    reference = advance(read_state(solver), config, 60)
+    config = make_tank(**CHANGES[name])
+    solver, twin = (make_solver(config, compile=True, num_workers=num) for num in (0, 2))
+    reference = advance(read_state(solver), config, 120)
     for each in (solver, twin):
-        each.advance_(60)
+        each.advance_(120)
     assert torch.equal(solver.populations(), twin.populations())
     assert torch.equal(solver.body.position, twin.body.position)
     assert_equal_to_reference(solver, reference)
@@ -210,12 +194,13 @@ def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit_in_a_pro
 
 @pytest.mark.compile
 def test_a_compiled_step_takes_no_memory_that_grows_with_the_grid() -> None:
-    solver = make_solver(LARGE, slice(1), compile=True)  # by another test
+    config = make_tank(**CHANGES["commanded"])  # compiled by another test
+    solver = make_solver(config, slice(1), compile=True)
     solver.advance_(4)
     with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as record:
         solver.advance_(10)
     largest = max((event.self_cpu_memory_usage for event in record.events()), default=0)
-    field = 4 * LARGE.width * LARGE.height
+    field = 4 * config.width * config.height
     assert largest < field, f"an operation of a step allocates {largest} bytes"
 
 
