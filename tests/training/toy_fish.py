@@ -41,7 +41,7 @@ class ToyPredation:
 
     n_obs, num_stacked, n_substeps, checks_per_action = 4, 4, 10, 1
     interval_T, turn_degrees, success = 1.0, 15.0, "captured"
-    num_fish = 1
+    num_fish, body_length, bends = 1, 10, False
     scales = SimpleNamespace(period=10, body_length=10)
 
     time_limit: int = 30
