@@ -1,6 +1,11 @@
-"""Greedy policies of the four arms from the fixed starts, as trained and in unseen conditions.
+"""Greedy policies of the four arms from the fixed starts, as trained and in other conditions.
 
-    python studies/four_arms/greedy.py sight all line own --seeds 0 1 2 3 4
+    python studies/four_arms/greedy.py line own
+    python studies/four_arms/greedy.py sight all --seeds 0 1 2
+    python studies/four_arms/greedy.py line all --seeds 0 --condition "lateral line silent"
+    python studies/four_arms/greedy.py pid --seeds 0 --condition "no disc"
+    python studies/four_arms/greedy.py pid --seeds 0 --condition "no disc, L = 48"
+    python studies/four_arms/greedy.py sight --seeds 1 2 --condition "L = 48"
 
 Every policy is a row of ``data/greedy.json`` in each condition; rows that exist are not run again.
 The episodes are kept in ``runs/four_arms``; ``--draw`` draws where the noses were from
@@ -48,7 +53,8 @@ NAMES = {
     "own": "–",
     "pid": "hand-crafted `pid`, not tuned",
 }
-EPISODES, PERIODS = 24, 40
+#: Starts, the first of them on the finer grid and without a disc, and duration in T.
+EPISODES, FEW, PERIODS = 24, 6, 40
 KEPT, ROWS = Path("runs/four_arms"), FOLDER / "data/greedy.json"
 #: Of ``diagnose``; besides them the share of the time beside the street and near the disc.
 KEYS = ("survival_T", "survivors", "diverged", "x_mean", "frequency", "frequency_over_shedding")
@@ -56,15 +62,11 @@ KEYS += ("in_street", "phase_lock", "angle_mean", "angle_max", "work", "positive
 
 
 def make_task(arm: str, condition: str) -> KarmanGait:
-    """Return the task of an arm in the wider area, in one of the conditions."""
+    """Return the task of an arm in the wider area: as trained, or in one of the conditions above."""
     _, task = load_policy("gait_bend")
     assert isinstance(task, KarmanGait)
     stream, line = task.stream, task.lateral_line
-    if condition == "stream 0.6 L/T":
-        stream = replace(stream, speeds_bl=(0.6,))
-    elif condition == "disc 0.5 L":
-        stream = replace(stream, diameter_bl=0.5)
-    elif condition == "lateral line silent":
+    if condition == "lateral line silent":
         line = replace(line, silence=1.0)
     elif condition.startswith("no disc"):
         stream = replace(stream, has_disc=False)
@@ -102,7 +104,7 @@ def run(arm: str, seed: int, condition: str, progress: Progress) -> dict[str, An
     else:
         act = partial(make_policy, arm, seed, task)
     trial = Trial(name=name, arm=arm, task=task, make_policy=act, identity=name)
-    num = 6 if "L = 48" in condition or "no disc" in condition else EPISODES
+    num = FEW if "L = 48" in condition or "no disc" in condition else EPISODES
     histories = record(trial, fixed_starts(task, num, seed=FINAL_SEED), progress=progress)
     numbers = diagnose(histories, task, shedding_frequency=list_shedding(task)[0])
     x, y = histories.place[:, 1:, 0], histories.place[:, 1:, 1].abs()

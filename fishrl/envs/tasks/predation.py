@@ -11,7 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.extensions import HasScene
-from fishrl.envs.macro_actions import Rising
+from fishrl.envs.macro_actions import BendControl, Rising
 from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.senses import measure_own_motion
 from fishrl.envs.sensors import compute_clearance, sense_target
@@ -23,8 +23,8 @@ from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
-#: Time constant of a bend, as in ``BendControl``.
-RESPONSE_T = 0.3
+#: Time constant of a bend, T.
+RESPONSE_T = BendControl.response_T
 
 _Frequency = Annotated[float, Field(ge=0, le=10)]
 
@@ -189,7 +189,7 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         return self.swimming_speed + turning
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Turn (or bend) clockwise, not at all, or counter-clockwise; or also beat, as told."""
+        """Turn or bend clockwise, not at all or counter-clockwise; or as much as the action says."""
         if self.is_continuous:
             turn, frequency = action.unbind(-1)
             return Command(turn.deg2rad(), frequency / self.scales.period)
