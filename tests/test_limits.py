@@ -1,6 +1,8 @@
 """Limits of control groups: the smallest of them and of the machine counts."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -51,3 +53,14 @@ def test_the_smallest_limit_counts(
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
     assert limits.measure_machine_memory() == memory
     assert limits.count_cores() == cores
+
+
+def test_a_thread_that_computes_is_counted_as_running() -> None:
+    code = "print(flush=True)\nwhile True: pass"
+    busy = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    try:
+        assert busy.stdout is not None and busy.stdout.readline()
+        assert limits.count_running() >= 2  # besides this one
+    finally:
+        busy.kill()
+        busy.wait()

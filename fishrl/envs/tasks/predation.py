@@ -189,7 +189,7 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         return self.swimming_speed + turning
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Turn or bend clockwise, not at all or counter-clockwise; or as much as the action says."""
+        """Turn or bend clockwise, not at all or counter-clockwise; or as a continuous one says."""
         if self.is_continuous:
             turn, frequency = action.unbind(-1)
             return Command(turn.deg2rad(), frequency / self.scales.period)

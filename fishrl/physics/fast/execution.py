@@ -1,7 +1,6 @@
 """Where a batch of flows lies and advances: in this process, or in one process per core."""
 
 import logging
-import os
 import time
 from collections.abc import Collection, Sequence
 from typing import IO
@@ -9,7 +8,7 @@ from typing import IO
 import torch
 from torch import Tensor
 
-from fishrl.limits import count_cores
+from fishrl.limits import count_cores, count_running
 from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.fast.compiled import find_compiler_problem
 from fishrl.physics.fast.workers import Workers, can_send, map_shared, open_shared
@@ -100,8 +99,8 @@ class Execution:
 
     def _can_help(self) -> bool:
         """Return whether there is something to compile, and an idle core."""
-        busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0  # not on Windows
-        if not self._wants_compile or self.num_workers + busy >= count_cores():
+        num_busy = self.num_workers + count_running() - 1  # this process will wait
+        if not self._wants_compile or num_busy >= count_cores():
             return False
         num_threads = torch.get_num_threads()
         torch.set_num_threads(1)  # on which code depends: as in the workers
