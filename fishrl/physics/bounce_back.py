@@ -23,10 +23,10 @@ import torch
 from torch import Tensor
 
 from fishrl.physics.bodies.gait import Deformation
-from fishrl.physics.bodies.outline import BodyParams
+from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.coupling import eliminate
-from fishrl.physics.flow import FlowConfig
+from fishrl.physics.flow import Coupling
 from fishrl.physics.geometry import Markers, Outlines, deform_body, place_markers
 from fishrl.physics.lattice import CX, CY, Q, W
 from fishrl.physics.links import Links, find_links, to_links, to_markers
@@ -119,29 +119,31 @@ class Skin(NamedTuple):
 
 
 def locate_skins(
-    config: FlowConfig,
+    bodies: Sequence[BodyConfig],
     params: Sequence[BodyParams],
     states: Sequence[BodyState],
+    size: tuple[int, int],
     last: Sequence[Skin] | None = None,
 ) -> tuple[Skin, ...]:
     """Deform and place each body, and find the links that its outline cuts.
 
-    With the skins of the ``last`` step, bodies that never move keep theirs.
+    The grid has a ``size`` of (height, width) nodes. With the skins of the ``last`` step, bodies
+    that never move keep theirs.
     """
     skins = []
-    for m, (body, own, state) in enumerate(zip(config.bodies, params, states, strict=True)):
+    for m, (body, own, state) in enumerate(zip(bodies, params, states, strict=True)):
         if last is not None and body.is_still:
             skins.append(last[m])
         else:
             deformation = deform_body(body, own, state)
             markers = place_markers(state, deformation)
-            links = find_links(markers.position, config.width, config.height)
+            links = find_links(markers.position, *size)
             skins.append(Skin(deformation, markers, links))
     return tuple(skins)
 
 
 def bounce_off_bodies_(
-    config: FlowConfig,
+    bodies: Sequence[BodyConfig],
     params: Sequence[BodyParams],
     states: Sequence[BodyState],
     skins: Sequence[Skin],
@@ -151,7 +153,7 @@ def bounce_off_bodies_(
     """Reflect outgoing populations at the skin of all bodies, in place, and move the bodies.
 
     Args:
-        config: configuration of the flows.
+        bodies: configuration of each body.
         params: parameters of each body.
         states: state of each body at the start of the step.
         skins: where their skins are then.
@@ -165,10 +167,10 @@ def bounce_off_bodies_(
     outlines = Outlines(
         tuple(skin.deformation for skin in skins), tuple(skin.markers for skin in skins)
     )
-    surface = prescribe_surface(config, params, states, outlines, dtype)
+    surface = prescribe_surface(bodies, Coupling.BOUNCE_BACK, params, states, outlines, dtype)
     changes: list[Tensor] = []
     forces: list[Pair] = []
-    for skin, own in zip(skins, slice_markers(config.bodies), strict=True):
+    for skin, own in zip(skins, slice_markers(outlines), strict=True):
         links = skin.links
         wall = _meet(slots, links, dtype)
         velocity = [to_links(u, links) for u in surface.velocity[..., own].unbind(1)]
@@ -183,11 +185,9 @@ def bounce_off_bodies_(
         forces.append((-to_markers(force_x, links), -to_markers(force_y, links)))
         slots.write_(links.x + links.cx, links.y + links.cy, links.back, returning, links.is_cut)
     fx, fy = (torch.cat(parts, -1) for parts in zip(*forces, strict=True))
-    updates = report_bodies(
-        config, states, outlines, surface, changes=changes, force=(fx, fy), slip=None
-    )
+    updates = report_bodies(states, outlines, surface, changes=changes, force=(fx, fy), slip=None)
     moved = []
-    each = zip(config.bodies, params, states, outlines.deformations, updates, strict=True)
+    each = zip(bodies, params, states, outlines.deformations, updates, strict=True)
     for body, own_params, state, deformation, update in each:
         # the other totals count the water inside: as if it filled the body and moved with it
         gain, spin_up = measure_gain(own_params, state, deformation, update)
@@ -197,7 +197,7 @@ def bounce_off_bodies_(
 
 
 def uncover_nodes_(
-    config: FlowConfig,
+    bodies: Sequence[BodyConfig],
     states: Sequence[BodyState],
     before: Sequence[Skin],
     now: Sequence[Skin],
@@ -206,13 +206,13 @@ def uncover_nodes_(
     """Fill the nodes that the bodies have left in the step just made, in place.
 
     Args:
-        config: configuration of the flows.
+        bodies: configuration of each body.
         states: state of each body after the step.
         before: where the skins were.
         now: where they are.
         slots: outgoing populations of the step; those that arrive at the uncovered nodes are set.
     """
-    for m, (body, state) in enumerate(zip(config.bodies, states, strict=True)):
+    for m, (body, state) in enumerate(zip(bodies, states, strict=True)):
         if not body.is_still:
             former, skin = before[m].markers.position, now[m]
             _uncover_(slots, state, former, skin.markers, skin.links.along_axes())

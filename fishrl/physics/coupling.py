@@ -44,12 +44,14 @@ def solve_body_force(
         g ``[B, 2, N]``, with F = 2 rho g per unit length, and an update per body.
     """
     mass = 2.0 * rho * geometry.spacing  # of the fluid that the force acts on: F = mass g
-    surface = prescribe_surface(config, params, states, geometry.outlines, velocity.dtype)
+    surface = prescribe_surface(
+        config.bodies, config.coupling, params, states, geometry.outlines, velocity.dtype
+    )
     residual = surface.velocity - velocity
     right = torch.stack([*residual.unbind(1), *surface.units], 1)
     solution, rest = config.force_solve(geometry.operator, right)
     is_implicit = config.coupling is Coupling.IMPLICIT
-    own = slice_markers(config.bodies)
+    own = slice_markers(geometry.outlines)
 
     def project(freedom: Freedom, g: Pair) -> Tensor | float:
         """Return the force or torque ``[B]`` along a degree of freedom that g puts on the fluid."""
@@ -82,7 +84,6 @@ def solve_body_force(
                     if response is not None:
                         values[axis] = values[axis] + weight * response
     updates = report_bodies(
-        config,
         states,
         geometry.outlines,
         surface,

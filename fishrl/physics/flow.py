@@ -208,7 +208,7 @@ class FlowConfig(Settings):
 
     def get_structure(self) -> object:
         """Return what all flows of one batch must share."""
-        bodies = tuple(body.get_structure() for body in self.bodies)
+        bodies = tuple((body.num_markers, body.get_structure()) for body in self.bodies)
         alike = replace(self, tau=1.0, stream_speed=0.0, ramp_steps=0, bodies=())
         return alike, bodies
 

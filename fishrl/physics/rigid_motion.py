@@ -9,7 +9,6 @@ from torch import Tensor
 from fishrl.physics.bodies.gait import Deformation, advance_phase, compute_amplitude_rate
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.flow import FlowConfig
 from fishrl.physics.geometry import Outlines, compute_axis
 from fishrl.physics.surface import Surface, slice_markers
 
@@ -30,7 +29,6 @@ class RigidUpdate(NamedTuple):
 
 
 def report_bodies(
-    config: FlowConfig,
     states: Sequence[BodyState],
     outlines: Outlines,
     surface: Surface,
@@ -42,7 +40,6 @@ def report_bodies(
     """Return new velocities, force, torque and power of each body from the solution of a step.
 
     Args:
-        config: configuration of the flows.
         states: state of each body at the start of the step.
         outlines: outlines of the bodies at this step.
         surface: prescribed motion of the markers.
@@ -59,7 +56,7 @@ def report_bodies(
     if slip is not None:  # without a gradient, which would not be finite at rest
         square = (slip[0] * slip[0] + slip[1] * slip[1]).detach()
     updates = []
-    for m, own in enumerate(slice_markers(config.bodies)):
+    for m, own in enumerate(slice_markers(outlines)):
         markers, across = outlines.markers[m], outlines.deformations[m].lateral_velocity.to(fx)
         rx, ry = (arm.to(fx) for arm in markers.arm.unbind(-1))
         ux, uy = markers.deformation_velocity.to(fx).unbind(-1)

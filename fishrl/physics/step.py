@@ -117,10 +117,11 @@ def step(
     increment = compute_force_increment(fluid, (fx, fy), omega, config.rates)
     outgoing = [a + b for a, b in zip(collided, increment, strict=True)]
     if bodies and is_sharp:  # no force: in a copy, reflect what meets the skin, fill what it leaves
-        slots, skins = list_slots(outgoing), locate_skins(config, params.bodies, bodies)
-        bodies = bounce_off_bodies_(config, params.bodies, bodies, skins, slots, f[0].dtype)
-        moved = locate_skins(config, params.bodies, bodies, skins)
-        uncover_nodes_(config, bodies, skins, moved, slots)
+        kinds, own, size = config.bodies, params.bodies, (config.height, config.width)
+        slots, skins = list_slots(outgoing), locate_skins(kinds, own, bodies, size)
+        bodies = bounce_off_bodies_(kinds, own, bodies, skins, slots, f[0].dtype)
+        moved = locate_skins(kinds, own, bodies, size, skins)
+        uncover_nodes_(kinds, bodies, skins, moved, slots)
         outgoing = slots.get_nodes(outgoing[0])
     # streaming, and the edges at the present speed of the stream (no clock: its full speed)
     incoming = stream(outgoing)

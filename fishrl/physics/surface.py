@@ -10,7 +10,7 @@ from torch.nn.functional import pad
 
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.flow import Coupling, FlowConfig
+from fishrl.physics.flow import Coupling
 from fishrl.physics.geometry import Outlines
 
 Pair = tuple[Tensor | None, Tensor | None]
@@ -44,16 +44,17 @@ class Surface(NamedTuple):
 
 
 def prescribe_surface(
-    config: FlowConfig,
+    bodies: Sequence[BodyConfig],
+    coupling: Coupling,
     params: Sequence[BodyParams],
     states: Sequence[BodyState],
     outlines: Outlines,
     dtype: torch.dtype,
 ) -> Surface:
     """Return the motion of all markers with the rates prescribed, or as in the last step."""
-    own = slice_markers(config.bodies)
+    own = slice_markers(outlines)
     num_markers = own[-1].stop
-    displaced = 1.0 if config.coupling is Coupling.IMPLICIT else 0.0
+    displaced = 1.0 if coupling is Coupling.IMPLICIT else 0.0
 
     def widen(values: Tensor, m: int) -> Tensor:
         """Return values of body m at all markers, zero at the markers of the others."""
@@ -63,7 +64,7 @@ def prescribe_surface(
     velocities: list[Tensor] = []
     freedoms: list[Freedom] = []
     units: list[Tensor] = []
-    for m, (body, state) in enumerate(zip(config.bodies, states, strict=True)):
+    for m, (body, state) in enumerate(zip(bodies, states, strict=True)):
         markers, deformation, motion = outlines.markers[m], outlines.deformations[m], body.motion
         linear, omega = motion.prescribe(state)
         own_rates = [*linear.unbind(-1), omega]
@@ -94,7 +95,7 @@ def prescribe_surface(
     return Surface(rates, torch.cat(velocities, -1), freedoms, units)
 
 
-def slice_markers(bodies: Sequence[BodyConfig]) -> list[slice]:
+def slice_markers(outlines: Outlines) -> list[slice]:
     """Return where the markers of each body are among all."""
-    ends = list(accumulate(body.num_markers for body in bodies))
-    return [slice(end - body.num_markers, end) for end, body in zip(ends, bodies, strict=True)]
+    numbers = [markers.position.shape[1] for markers in outlines.markers]
+    return [slice(end - n, end) for end, n in zip(accumulate(numbers), numbers, strict=True)]

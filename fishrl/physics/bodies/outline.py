@@ -88,7 +88,7 @@ class BodyConfig(Settings, ABC):
 
     def get_structure(self) -> tuple[object, ...]:
         """Return what this body must share with its counterparts in other flows of a batch."""
-        return type(self), self.num_markers, self.motion
+        return type(self), self.motion
 
     @abstractmethod
     def draw(self) -> list[Points]:

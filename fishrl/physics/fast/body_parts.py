@@ -1,7 +1,7 @@
 """The bodies' parts of the fast step, as tensor operations on any device."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -25,6 +25,7 @@ from fishrl.physics.flow import FlowConfig
 from fishrl.physics.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.lattice import Q
 from fishrl.physics.step import couple_bodies
+from fishrl.physics.storage import Storage
 
 Tree = TypeVar("Tree", bound=tuple[object, ...])
 Bodies = tuple[tuple[BodyParams, ...], tuple[BodyState, ...]]
@@ -32,6 +33,35 @@ Bodies = tuple[tuple[BodyParams, ...], tuple[BodyState, ...]]
 #: and ``[B]`` int64 cells of each flow's node (0, 0).
 Places = tuple[Tensor, Tensor, Tensor]
 Skins = tuple[Skin, ...]
+
+
+class Grid(NamedTuple):
+    """A group's outgoing populations; code for any grid has its sizes from here."""
+
+    nodes: Tensor  #: ``[B, Y, X]`` the first of them
+    lattice: Tensor  #: as ``Slots`` holds it
+    data: Tensor  #: as ``Places``
+    offsets: Tensor  #: as ``Places``
+    first: Tensor  #: as ``Places``
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in nodes."""
+        return self.nodes.shape[1], self.nodes.shape[2]
+
+    def list_slots(self, storage: Storage) -> Slots:
+        """Return all of them; the corner of a flow's ring is scrap."""
+        row_length = self.nodes.stride(1)
+        return Slots(
+            data=self.data,
+            offsets=self.offsets,
+            first=self.first,
+            row_length=row_length,
+            scrap=self.first - (row_length + 1) + self.offsets[0],
+            lattice=self.lattice,
+            storage=storage,
+        )
+
 
 BODY_SETTINGS: dict[str, dict[str, object]] = {
     # The part is small and scatters: one thread, and weights are kept, not computed again for every
@@ -142,64 +172,44 @@ def make_skin_parts(
 
     The first finds all skins, once before many steps. Those of each step reflect populations at
     the skins and move the bodies, find the skins that have moved, and fill the nodes that they have
-    passed. Their tensors are the populations, the lattice as ``Slots`` holds it, the bodies, their
-    skins before and after a step.
+    passed. Their tensors are the grid, the bodies, their skins before and after a step.
     """
-    device = sample.clock.device
+    device, kinds, storage = sample.clock.device, config.bodies, config.storage
     places, lattice = find_places(layout, device), make_lattice(device)
-    row_length, origin = layout.row_length, layout.first_cell
+    size = config.height, config.width
     # before even and before odd steps
-    skins = [keep(locate_skins(config, sample.params.bodies, sample.bodies)) for _ in range(2)]
+    skins = [keep(locate_skins(kinds, sample.params.bodies, sample.bodies, size)) for _ in range(2)]
     # bodies that never move have one for both
     skins[1] = tuple(
         first if body.is_still else second
-        for body, first, second in zip(config.bodies, *skins, strict=True)
+        for body, first, second in zip(kinds, *skins, strict=True)
     )
 
-    def collect(memory: GroupMemory, parity: int) -> tuple[Places, Tensor, Bodies, Skins, Skins]:
+    def collect(memory: GroupMemory, parity: int) -> tuple[Grid, Bodies, Skins, Skins]:
         before, after = skins[parity], skins[1 - parity]
-        return places(memory, parity), lattice, get_bodies(memory), before, after
+        grid = Grid(memory.outgoing(parity)[0], lattice, *places(memory, parity))
+        return grid, get_bodies(memory), before, after
 
-    def list_slots(places: Places, lattice: Tensor) -> Slots:
-        """Return the outgoing populations; the corner of a flow's ring is scrap."""
-        data, offsets, first_cell = places
-        return Slots(
-            data=data,
-            offsets=offsets,
-            first=first_cell,
-            row_length=row_length,
-            scrap=first_cell - origin + offsets[0],
-            lattice=lattice,
-            storage=config.storage,
-        )
+    def locate(grid: Grid, bodies: Bodies, before: Skins, after: Skins) -> None:
+        copy_tree(after, locate_skins(kinds, *bodies, grid.size))
 
-    def locate(
-        places: Places, lattice: Tensor, bodies: Bodies, before: Skins, after: Skins
-    ) -> None:
-        copy_tree(after, locate_skins(config, *bodies))
+    def follow(grid: Grid, bodies: Bodies, before: Skins, after: Skins) -> None:
+        copy_tree(after, locate_skins(kinds, *bodies, grid.size, before))
 
-    def follow(
-        places: Places, lattice: Tensor, bodies: Bodies, before: Skins, after: Skins
-    ) -> None:
-        copy_tree(after, locate_skins(config, *bodies, before))
+    def reflect(grid: Grid, bodies: Bodies, before: Skins, after: Skins) -> None:
+        slots = grid.list_slots(storage)
+        copy_tree(bodies[1], bounce_off_bodies_(kinds, *bodies, before, slots, torch.float32))
 
-    def reflect(
-        places: Places, lattice: Tensor, bodies: Bodies, before: Skins, after: Skins
-    ) -> None:
-        slots = list_slots(places, lattice)
-        copy_tree(bodies[1], bounce_off_bodies_(config, *bodies, before, slots, torch.float32))
-
-    def uncover(
-        places: Places, lattice: Tensor, bodies: Bodies, before: Skins, after: Skins
-    ) -> None:
-        uncover_nodes_(config, bodies[1], before, after, list_slots(places, lattice))
+    def uncover(grid: Grid, bodies: Bodies, before: Skins, after: Skins) -> None:
+        uncover_nodes_(kinds, bodies[1], before, after, grid.list_slots(storage))
 
     # stacked arrays are written at once: each of their parts would be a tensor made in every call
     settings = BODY_SETTINGS | {"cpu": BODY_SETTINGS["cpu"] | {"force_pointwise_cat": True}}
-    start = moved = Part("skin", collect, locate, settings)
-    reflection = Part("reflection", collect, reflect, BODY_SETTINGS)
+    start = moved = Part("skin", collect, locate, settings, any_grid=True)
+    reflection = Part("reflection", collect, reflect, BODY_SETTINGS, any_grid=True)
     if config.is_still:
         return start, [reflection]
-    if any(body.is_still for body in config.bodies):
-        moved = Part("moved skin", collect, follow, settings)
-    return start, [reflection, moved, Part("uncovering", collect, uncover, BODY_SETTINGS)]
+    if any(body.is_still for body in kinds):
+        moved = Part("moved skin", collect, follow, settings, any_grid=True)
+    uncovering = Part("uncovering", collect, uncover, BODY_SETTINGS, any_grid=True)
+    return start, [reflection, moved, uncovering]

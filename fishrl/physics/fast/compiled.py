@@ -20,9 +20,10 @@ from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from types import CellType
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor
@@ -179,6 +180,7 @@ def compile_inplace(
     example: Sequence[Tensor],
     *,
     name: str | None = None,
+    num_varying: int = 0,
     **patches: object,
 ) -> InPlaceFunction:
     """Compile ``function(*tensors)``, which may mutate its arguments; itself without a compiler.
@@ -187,6 +189,8 @@ def compile_inplace(
         function: traceable, of tensors alone; a tuple of tensors or nothing is returned.
         example: arguments of the shapes, strides and types that every call will have. They are not
             touched.
+        num_varying: so many of the first arguments may be of other sizes, for which the stored code
+            serves as well.
         name: key of everything that determines the function, apart from this package's sources and
             ``example``. The result is stored under it next to Inductor's cache, and other processes
             load it without tracing, or wait for it. None stores nothing.
@@ -200,21 +204,23 @@ def compile_inplace(
         return function
     with _set_up_inductor(device, patches) as folder:
         if name is None:
-            return _reach_code(_compile(function, example))
-        path = folder / f"{_make_name(name, example)}.bin"
+            return _reach_code(_compile(function, example, num_varying))
+        path = folder / f"{_make_name(name, example, num_varying)}.bin"
         with _claim(path):
             if (compiled := _load(path)) is None:
-                compiled = _compile(function, example)
+                compiled = _compile(function, example, num_varying)
                 _save(path, compiled)
     return _reach_code(compiled)
 
 
-def is_stored(example: Sequence[Tensor], *, name: str, **patches: object) -> bool:
+def is_stored(
+    example: Sequence[Tensor], *, name: str, num_varying: int = 0, **patches: object
+) -> bool:
     """Return whether ``compile_inplace`` has nothing to make, or finds it on the disk."""
     if find_compiler_problem(example[0].device.type):
         return True
     with _set_up_inductor(example[0].device, patches) as folder:
-        return (folder / f"{_make_name(name, example)}.bin").exists()
+        return (folder / f"{_make_name(name, example, num_varying)}.bin").exists()
 
 
 @contextmanager
@@ -262,20 +268,33 @@ def compile_differentiable(
         return cast("InPlaceFunction", compiled)
 
 
-def _compile(function: InPlaceFunction, example: Sequence[Tensor]) -> InPlaceFunction:
+def _compile(
+    function: InPlaceFunction, example: Sequence[Tensor], num_varying: int
+) -> InPlaceFunction:
+    from torch._guards import TracingContext, tracing
     from torch._inductor import standalone_compile
+    from torch._subclasses import FakeTensorMode
+    from torch.fx.experimental.symbolic_shapes import ShapeEnv
 
     twins = [_make_twin(t) for t in example]
-    graph = _trace(function, twins)
-    options: Any = {"dynamic_shapes": "from_example_inputs", "aot": True}
-    compiled = _make_whole(lambda: standalone_compile(graph, [*twins], **options))
+    mode = FakeTensorMode(shape_env=ShapeEnv())
+    options: Any = {"dynamic_shapes": "from_tracing_context", "aot": True}
+    # the context remembers them: the function is traced with the same
+    stand_ins = [mode.from_tensor(t, static_shapes=i >= num_varying) for i, t in enumerate(twins)]
+    with tracing(TracingContext(mode)):
+        graph = _trace(function, twins, "symbolic")
+        compiled = _make_whole(lambda: standalone_compile(graph, [*stand_ins], **options))
     return cast("InPlaceFunction", compiled)
 
 
-def _trace(function: InPlaceFunction, example: Sequence[Tensor]) -> torch.fx.GraphModule:
+def _trace(
+    function: InPlaceFunction,
+    example: Sequence[Tensor],
+    mode: Literal["real", "symbolic"] = "real",
+) -> torch.fx.GraphModule:
     from torch.fx.experimental.proxy_tensor import make_fx
 
-    return make_fx(function)(*example)
+    return make_fx(function, tracing_mode=mode)(*example)
 
 
 def _make_whole(make: Callable[[], Any]) -> Any:
@@ -318,11 +337,28 @@ def _reach_code(artefact: InPlaceFunction) -> InPlaceFunction:
     return artefact
 
 
-def _make_name(name: str, example: Sequence[Tensor]) -> str:
+def _make_name(name: str, example: Sequence[Tensor], num_varying: int) -> str:
     """Return a key of what code for one kind of machine depends on: source, settings, arguments."""
-    arguments = [(tuple(t.shape), t.stride(), t.dtype) for t in example]
     settings = torch._inductor.config.save_config_portable(ignore_private_configs=False)
-    return make_key(name, hash_sources(), arguments, settings)
+    return make_key(name, hash_sources(), _describe(example, num_varying), settings)
+
+
+def _describe(example: Sequence[Tensor], num_varying: int) -> list[object]:
+    """Return what code depends on of its arguments: shapes, strides and types.
+
+    Of the first ``num_varying`` only which sizes and strides are equal, and which of a tensor's are
+    larger: of these the compiler may make use. Those up to 16 count as they are.
+    """
+    sizes = [(*t.shape, *t.stride()) for t in example]
+    varying = dict.fromkeys(chain(*sizes[:num_varying]))
+    names = {size: f"size {i}" for i, size in enumerate(varying) if size > 16}
+    described: list[object] = []
+    for own, t in zip(sizes, example, strict=True):
+        is_varying = len(described) < num_varying
+        order = sorted(range(len(own)), key=own.__getitem__)
+        form = ([names.get(size, size) for size in own], order) if is_varying else own
+        described.append((form, t.dtype))
+    return described
 
 
 def _load(path: Path) -> InPlaceFunction | None:

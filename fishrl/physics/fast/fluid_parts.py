@@ -82,7 +82,7 @@ def make_edges(
         profile = config.boundaries.evaluate_profile(side, num_nodes)
         profiles.append(profile[None].to(device, torch.float32))
 
-    def collect(memory: GroupMemory, parity: int) -> tuple[Tensor, FlowParams, list[EdgeViews]]:
+    def collect(memory: GroupMemory, parity: int) -> tuple[list[EdgeViews], Tensor, FlowParams]:
         incoming, outgoing = memory.incoming(1 - parity), memory.outgoing(parity)
         edges = [
             EdgeViews(
@@ -93,9 +93,9 @@ def make_edges(
             )
             for (side, _), profile in zip(sides, profiles, strict=True)
         ]
-        return memory.flow.clock, memory.flow.params._replace(bodies=()), edges
+        return edges, memory.flow.clock, memory.flow.params._replace(bodies=())
 
-    def act(clock: Tensor, params: FlowParams, edges: list[EdgeViews]) -> None:
+    def act(edges: list[EdgeViews], clock: Tensor, params: FlowParams) -> None:
         """Set the populations that enter at each edge, at the present speed of the stream."""
         speed = compute_stream_speed(params, clock).float()[:, None]
         for (side, boundary), views in zip(sides, edges, strict=True):
@@ -109,7 +109,7 @@ def make_edges(
     # on a GPU the stream's speed is not worth a kernel of its own
     settings = {"cuda": {"realize_reads_threshold": 16, "realize_opcount_threshold": 1000}}
     name = f"edges {[side.name for side, _ in sides]}"
-    return Part(name, collect, act, settings)
+    return Part(name, collect, act, settings, any_grid=True)
 
 
 def make_check(config: FlowConfig, is_fine: Tensor) -> Part:
@@ -119,14 +119,14 @@ def make_check(config: FlowConfig, is_fine: Tensor) -> Part:
     """
     storage = config.storage
 
-    def collect(memory: GroupMemory, parity: int) -> tuple[Tensor, list[Tensor]]:
-        return is_fine, memory.incoming(parity)
+    def collect(memory: GroupMemory, parity: int) -> tuple[list[Tensor], Tensor]:
+        return memory.incoming(parity), is_fine
 
-    def act(is_fine: Tensor, f: list[Tensor]) -> None:
+    def act(f: list[Tensor], is_fine: Tensor) -> None:
         drho, jx, jy = compute_moments([storage.decode(g) for g in f])
         limit = MAX_SPEED * (drho + 1.0)
         # comparisons with NaN are false, so a broken flow is never fine
         is_node_fine = (jx * jx + jy * jy < limit * limit) & (drho.abs() < 1.0)
         is_fine.copy_(is_node_fine.flatten(1).all(-1))
 
-    return Part("check", collect, act, {})
+    return Part("check", collect, act, {}, any_grid=True)

@@ -116,7 +116,9 @@ def make_triton_parts(
         if not config.is_still:
             geometry = locate_bodies(config, *bodies, torch.float32)
             copy_tree(kept, geometry)
-        surface = prescribe_surface(config, *bodies, geometry.outlines, torch.float32)
+        surface = prescribe_surface(
+            config.bodies, config.coupling, *bodies, geometry.outlines, torch.float32
+        )
         zero, one = torch.zeros_like(surface.velocity[:, 0]), torch.ones_like(buffers.push[:, 0])
         units = (
             torch.stack([zero if unit is None else unit for unit in each.unit], 1)
@@ -156,10 +158,9 @@ def make_triton_parts(
         force_x, force_y = (buffers.mass * g for g in buffers.g.unbind(1))
         slip_x, slip_y = buffers.slip.unbind(1)
         updates = report_bodies(
-            config,
             states,
             outlines,
-            prescribe_surface(config, *bodies, outlines, torch.float32),
+            prescribe_surface(config.bodies, config.coupling, *bodies, outlines, torch.float32),
             changes=buffers.change[:, 1:].unbind(-1),
             force=(force_x, force_y),
             slip=(slip_x, slip_y),

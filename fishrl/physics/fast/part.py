@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
+from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.physics.fast.compiled import InPlaceFunction, compile_inplace, is_own, is_stored
 from fishrl.physics.fast.flow_memory import GroupMemory
 from fishrl.physics.flow import FlowConfig
@@ -26,6 +27,8 @@ class Part:
         act: what the part does, eagerly or traced by the compiler. Flows share the compiled code if
             all that it closes over is equal, so it should close over no more than it needs.
         settings: Inductor's settings, by type of device; None leaves the part eager.
+        any_grid: on a CPU, flows on grids of other sizes share the code: all that ``act`` needs of
+            the grid is in its first argument.
 
     Attributes:
         run: ``act`` as a function of the tensors that ``bind`` returns.
@@ -37,17 +40,22 @@ class Part:
         collect: Callable[[GroupMemory, int], tuple[*Trees]],
         act: Callable[[*Trees], None],
         settings: Mapping[str, Mapping[str, object]] | None,
+        *,
+        any_grid: bool = False,
     ) -> None:
-        self.name, self._settings = name, settings
+        self.name, self._settings, self._any_grid = name, settings, any_grid
         self.collect: Callable[[GroupMemory, int], tuple[Any, ...]] = collect
         self._act: Callable[..., None] = act
         self._form: pytree.TreeSpec | None = None
+        self._num_varying = 0
         self.run: InPlaceFunction = self._act_on
 
     def bind(self, memory: GroupMemory) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
         """Return the arguments of ``run`` for a group, at even and at odd steps."""
         even, odd = self.collect(memory, 0), self.collect(memory, 1)
         self._form = pytree.tree_structure(even)
+        if self._any_grid and memory.populations.device.type == "cpu":
+            self._num_varying = len(pytree.tree_leaves(even[0]))
         return pytree.tree_leaves(even), pytree.tree_leaves(odd)
 
     @property
@@ -60,14 +68,16 @@ class Part:
         """Compile ``run``, and keep the code on disk if the part has a key."""
         if self._settings is not None:
             settings = self._settings.get(example[0].device.type, {})
-            self.run = compile_inplace(self._act_on, example, name=self.key, **settings)
+            self.run = compile_inplace(
+                self._act_on, example, name=self.key, num_varying=self._num_varying, **settings
+            )
 
     def is_to_be_stored(self, example: Sequence[Tensor]) -> bool:
         """Return whether ``compile`` would put new code on the disk."""
         if self._settings is None or self.key is None:
             return False
         settings = self._settings.get(example[0].device.type, {})
-        return not is_stored(example, name=self.key, **settings)
+        return not is_stored(example, name=self.key, num_varying=self._num_varying, **settings)
 
     def _act_on(self, *leaves: Tensor) -> None:
         assert self._form is not None
@@ -77,12 +87,14 @@ class Part:
 def _find_known(thing: object) -> object:
     """Return ``thing``, of this package's functions all that they close over, in any depth.
 
-    Of a flow it is what the flows of a batch share: nothing else may shape the code.
+    Of a flow or a body it is what those of a batch share: nothing else may shape the code.
     """
+    if isinstance(thing, tuple):
+        return list(map(_find_known, thing))
     if isinstance(thing, FunctionType) and thing.__module__.startswith("fishrl.physics."):
         held = [cell.cell_contents for cell in thing.__closure__ or ()]
         return [thing.__defaults__, thing.__kwdefaults__, *map(_find_known, held)]
-    return thing.get_structure() if isinstance(thing, FlowConfig) else thing
+    return thing.get_structure() if isinstance(thing, FlowConfig | BodyConfig) else thing
 
 
 class FlowGroup:

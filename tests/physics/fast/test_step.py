@@ -291,6 +291,30 @@ def test_flows_share_all_compiled_parts_where_they_are_equal_and_nowhere_else() 
         assert codes[0] == codes[1], part.name
 
 
+@pytest.mark.compile
+def test_flows_on_other_grids_share_all_code_but_the_collision() -> None:
+    small, large = (
+        list_parts(make_tank(**CHANGES["sharp skin"], **size))
+        for size in ({}, {"width": 150, "height": 110})
+    )
+    for (part, example), (other, larger) in zip(small, large, strict=True):
+        names = [
+            compiled_module._make_name(str(each.key), tensors, each._num_varying)
+            for each, tensors in ((part, example), (other, larger))
+        ]
+        assert (names[0] == names[1]) == (part.name != "collision"), part.name
+        if part.name.startswith(("edges", "check")):
+            part.compile(example)
+            eager, compiled = ([compiled_module._make_twin(t) for t in larger] for _ in range(2))
+            for one, copy in zip(eager, compiled, strict=True):
+                if one.dim() > 1:
+                    one.add_(0.01 * torch.randn_like(one))
+                copy.copy_(one)
+            other.run(*eager)
+            part.run(*compiled)
+            torch.testing.assert_close(compiled, eager, rtol=0.0, atol=1e-7)
+
+
 class Magnetic(NoSlip):
     """An edge whose source the package does not hold."""
 
