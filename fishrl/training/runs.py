@@ -161,6 +161,7 @@ def begin(plan: Plan, *, callbacks: Iterable[Callback] = ()) -> Training:
         return _continue(found.checked(), adopt_plan(found, plan), callbacks)
     resolved = resolve(plan)
     folder, plan = make_folder(plan)
+    logger.info("run folder: %s", folder.path)
     with folder.noting_failure():
         return Training(replace(resolved, plan=plan), folder=folder, callbacks=callbacks)
 

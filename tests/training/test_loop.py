@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import logging
 import os
 import signal
 from collections.abc import Mapping
@@ -36,9 +37,13 @@ from tests.training.conftest import (
 from tests.training.toy_fish import ToyPredation, make_toy_env
 
 
-def test_a_run_writes_its_settings_metrics_checkpoints_and_summary(toy: Toy) -> None:
-    summary = toy.begin().run()
+def test_a_run_writes_its_settings_metrics_checkpoints_and_summary(
+    toy: Toy, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO):
+        summary = toy.begin().run()
     folder = toy.folder / "toypredation-toy-seed0"
+    assert f"run folder: {folder}" in caplog.messages  # to resume it after ``kill -9``
     assert (folder / "config.yaml").is_file()
     assert (folder / "checkpoints" / "best" / "manifest.json").is_file()
     assert (folder / "checkpoints" / "last" / "manifest.json").is_file()
