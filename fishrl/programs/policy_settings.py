@@ -44,6 +44,8 @@ class PolicySettings(TaskSettings):
         super().__post_init__()
         if sum(source is not None for source in self.sources.values()) != 1:
             raise ValueError(f"give exactly one of {', '.join(self.sources)}")
+        if self.learned is None and "/" in str(self.policy):
+            raise ValueError(f"policy = {self.policy}: no baseline; give a path as checkpoint=...")
 
     @property
     def sources(self) -> dict[str, str | None]:

@@ -133,6 +133,11 @@ def test_commands_are_shown_as_typed_here(tmp_path: Path, monkeypatch: pytest.Mo
     assert show_command("experiments.validate") == "python -m experiments.validate"
 
 
+def test_the_path_of_a_policy_is_no_baseline() -> None:
+    with pytest.raises(SystemExit, match=r"policy = runs/x: .* give a path as checkpoint="):
+        evaluate.main(["policy=runs/x"])
+
+
 def test_an_unwritable_result_is_found_before_the_evaluation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
