@@ -42,7 +42,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "1/2 torch, $(TORCH_BACKEND): 0.8 GB on the disk for a CPU, several GB for a GPU"
 	@$(UV) --torch-backend=$(TORCH_BACKEND) "$(TORCH)" || \
 		{ echo "uv cannot reach the builds of torch: pip takes its default, on Linux that for a GPU"; $(PIP) "$(TORCH)"; }
-	@echo "2/2 everything else: 1.3 GB"
+	@echo "2/2 everything else: 1.2 GB"
 	@$(UV) -e . || $(PIP) -e .
 	@touch $@
 
