@@ -14,7 +14,7 @@ from fishrl.training.callback import Callback
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.classifier import Recognition, find_classifier
 from fishrl.training.policies import prepare
-from fishrl.training.policy_zoo import PREFIX
+from fishrl.training.policy_zoo import PREFIX, list_policies
 
 
 class PolicySettings(TaskSettings):
@@ -46,6 +46,10 @@ class PolicySettings(TaskSettings):
             raise ValueError(f"give exactly one of {', '.join(self.sources)}")
         if self.learned is None and "/" in str(self.policy):
             raise ValueError(f"policy = {self.policy}: no baseline; give a path as checkpoint=...")
+        if self.policy in list_policies():
+            raise ValueError(
+                f"policy = {self.policy}: no baseline; did you mean {PREFIX}{self.policy}?"
+            )
 
     @property
     def sources(self) -> dict[str, str | None]:

@@ -1,5 +1,6 @@
 """Learners: policy, buffer and gradient step, for on-policy and off-policy algorithms."""
 
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -186,7 +187,11 @@ class _ZeroedStorage(LazyTensorStorage):
     """Storage whose unwritten rows are zero, so that checkpoints hold no uninitialised memory."""
 
     def _init(self, *args: Any, **kwargs: Any) -> None:
+        logger = logging.getLogger("torchrl")
+        level = logger.level
+        logger.setLevel(logging.WARNING)  # not the storage's shape
         super()._init(*args, **kwargs)
+        logger.setLevel(level)
         self._storage.zero_()
 
 

@@ -133,9 +133,13 @@ def test_commands_are_shown_as_typed_here(tmp_path: Path, monkeypatch: pytest.Mo
     assert show_command("experiments.validate") == "python -m experiments.validate"
 
 
-def test_the_path_of_a_policy_is_no_baseline() -> None:
-    with pytest.raises(SystemExit, match=r"policy = runs/x: .* give a path as checkpoint="):
-        evaluate.main(["policy=runs/x"])
+@pytest.mark.parametrize(
+    ("policy", "said"),
+    [("runs/x", "give a path as checkpoint="), ("gait_bend", r"did you mean zoo/gait_bend\?")],
+)
+def test_a_learned_policy_is_no_baseline(policy: str, said: str) -> None:
+    with pytest.raises(SystemExit, match=f"policy = {policy}: .* {said}"):
+        evaluate.main([f"policy={policy}"])
 
 
 def test_an_unwritable_result_is_found_before_the_evaluation(
