@@ -9,6 +9,8 @@ from tests.test_architecture import OWN, list_imports
 #: Where each is used, and what has to be looked at when it moves.
 PRIVATE = {
     "torch._functorch.compile_utils.fx_graph_cse": "training/tracing.py",
+    "torch._guards.TracingContext": "physics/fast/compiled.py",
+    "torch._guards.tracing": "physics/fast/compiled.py",
     "torch._inductor.standalone_compile": "physics/fast/compiled.py",
     "torch._inductor.output_code.CompiledFxGraph": "physics/fast/compiled.py",
     "torch._inductor.cpp_builder.get_cpp_compiler": "physics/fast/compiled.py",
@@ -18,6 +20,7 @@ PRIVATE = {
     "torch._inductor.standalone_compile.AOTCompiledArtifact": "physics/fast/compiled.py",
     "torch._inductor.compile_fx.compile_fx": "physics/fast/compiled.py",
     "torch._inductor.codecache.CppPythonBindingsCodeCache": "physics/fast/compiled.py",
+    "torch._subclasses.FakeTensorMode": "physics/fast/compiled.py",
     "torch.utils._pytree": "envs/streams.py, physics",
 }
 #: Private attributes of TorchRL's classes, by class, that their subclasses or callers here use.
