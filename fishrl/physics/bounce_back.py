@@ -127,7 +127,7 @@ def locate_skins(
 ) -> tuple[Skin, ...]:
     """Deform and place each body, and find the links that its outline cuts.
 
-    The grid has a ``size`` of (height, width) nodes. With the skins of the ``last`` step, bodies
+    The grid has a ``size`` of (width, height) nodes. With the skins of the ``last`` step, bodies
     that never move keep theirs.
     """
     skins = []

@@ -38,7 +38,7 @@ class Links(NamedTuple):
         return Links(*(part[:, :2] for part in self))
 
 
-def find_links(outline: Tensor, height: int, width: int) -> Links:
+def find_links(outline: Tensor, width: int, height: int) -> Links:
     """Return the links that a clockwise closed polygon ``[B, N, 2]`` cuts, in nodes.
 
     Neighbouring segments round their common corner alike, so no link is missed or found twice.

@@ -117,7 +117,7 @@ def step(
     increment = compute_force_increment(fluid, (fx, fy), omega, config.rates)
     outgoing = [a + b for a, b in zip(collided, increment, strict=True)]
     if bodies and is_sharp:  # no force: in a copy, reflect what meets the skin, fill what it leaves
-        kinds, own, size = config.bodies, params.bodies, (config.height, config.width)
+        kinds, own, size = config.bodies, params.bodies, (config.width, config.height)
         slots, skins = list_slots(outgoing), locate_skins(kinds, own, bodies, size)
         bodies = bounce_off_bodies_(kinds, own, bodies, skins, slots, f[0].dtype)
         moved = locate_skins(kinds, own, bodies, size, skins)

@@ -51,7 +51,11 @@ def prescribe_surface(
     outlines: Outlines,
     dtype: torch.dtype,
 ) -> Surface:
-    """Return the motion of all markers with the rates prescribed, or as in the last step."""
+    """Return the motion of all markers with the rates prescribed, or as in the last step.
+
+    ``outlines`` are those of the ``bodies`` now; velocities are of ``dtype``. The ``coupling``
+    decides whether the inertia of the freedoms leaves out the fluid inside.
+    """
     own = slice_markers(outlines)
     num_markers = own[-1].stop
     displaced = 1.0 if coupling is Coupling.IMPLICIT else 0.0

@@ -1,7 +1,6 @@
 """Greedy policies of the four arms from the fixed starts, as trained and in other conditions.
 
-    python studies/four_arms/greedy.py line own
-    python studies/four_arms/greedy.py sight all --seeds 0 1 2
+    python studies/four_arms/greedy.py sight all line own
     python studies/four_arms/greedy.py line all --seeds 0 --condition "lateral line silent"
     python studies/four_arms/greedy.py pid --seeds 0 --condition "no disc"
     python studies/four_arms/greedy.py pid --seeds 0 --condition "no disc, L = 48"

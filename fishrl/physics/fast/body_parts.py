@@ -46,8 +46,8 @@ class Grid(NamedTuple):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Height and width in nodes."""
-        return self.nodes.shape[1], self.nodes.shape[2]
+        """Width and height in nodes."""
+        return self.nodes.shape[2], self.nodes.shape[1]
 
     def list_slots(self, storage: Storage) -> Slots:
         """Return all of them; the corner of a flow's ring is scrap."""
@@ -176,7 +176,7 @@ def make_skin_parts(
     """
     device, kinds, storage = sample.clock.device, config.bodies, config.storage
     places, lattice = find_places(layout, device), make_lattice(device)
-    size = config.height, config.width
+    size = config.width, config.height
     # before even and before odd steps
     skins = [keep(locate_skins(kinds, sample.params.bodies, sample.bodies, size)) for _ in range(2)]
     # bodies that never move have one for both

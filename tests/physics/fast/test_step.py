@@ -303,16 +303,20 @@ def test_flows_on_other_grids_share_all_code_but_the_collision() -> None:
             for each, tensors in ((part, example), (other, larger))
         ]
         assert (names[0] == names[1]) == (part.name != "collision"), part.name
-        if part.name.startswith(("edges", "check")):
+        if part.name == "collision":
+            continue
+        run: Any = compiled_module._trace(part.run, example, "symbolic")
+        if part.name.startswith("edges"):  # the others would take a minute to compile
             part.compile(example)
-            eager, compiled = ([compiled_module._make_twin(t) for t in larger] for _ in range(2))
-            for one, copy in zip(eager, compiled, strict=True):
-                if one.dim() > 1:
-                    one.add_(0.01 * torch.randn_like(one))
-                copy.copy_(one)
-            other.run(*eager)
-            part.run(*compiled)
-            torch.testing.assert_close(compiled, eager, rtol=0.0, atol=1e-7)
+            run = part.run
+        eager, shared = ([compiled_module._make_twin(t) for t in larger] for _ in range(2))
+        for one, copy in zip(eager, shared, strict=True):
+            if one.dtype == torch.float32:
+                one.add_(0.01 * torch.randn_like(one))
+            copy.copy_(one)
+        other.run(*eager)
+        run(*shared)
+        torch.testing.assert_close(shared, eager, rtol=0.0, atol=1e-7, msg=part.name)
 
 
 class Magnetic(NoSlip):
