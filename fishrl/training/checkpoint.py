@@ -9,7 +9,7 @@ checksum and that of the manifest were compared.
 import hashlib
 import os
 import shutil
-from collections.abc import Collection, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -23,7 +23,7 @@ from fishrl.training.policy_spec import CHECKED, PolicySpec
 from fishrl.training.policy_zoo import find_folder
 from fishrl.training.run_folder import adopt_config, refuse_many
 
-SUMS = "SHA256SUMS"
+MANIFEST, SUMS = "manifest.json", "SHA256SUMS"
 
 
 class _Metadata(Stored, extra="forbid"):
@@ -39,6 +39,11 @@ class _Metadata(Stored, extra="forbid"):
 
 class _Component(Stored):
     path: Annotated[str, Field(pattern=r"^components/[\w-]+$")]
+
+    @property
+    def file(self) -> str:
+        """The only one that is read."""
+        return f"{self.path}/state.pt"
 
 
 class _Manifest(Stored):
@@ -113,7 +118,7 @@ def write_sums(folder: Path) -> None:
 
 
 def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[str, Any]]:
-    """Find a checkpoint and read its metadata.
+    """Find a checkpoint, compare all its files with their checksums, and read its metadata.
 
     ``path`` is a checkpoint, ``zoo/<name>`` (see ``fishrl.zoo``), or a run folder, in which
     ``which`` selects ``best`` (if missing, the last) or ``last``.
@@ -127,14 +132,14 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
         folder /= which if _list_complete(folder / which) else "last"
     found = next(iter(_list_complete(folder)), folder)
     refuse_many(found, setting="checkpoint")
-    if not found.exists():
+    if not any((found / name).is_file() for name in (MANIFEST, SUMS)):
         raise ValueError(
             f"checkpoint {folder}: there is none; give the folder of a run, or one of its "
             "checkpoints/best and checkpoints/last"
         )
     try:
         manifest = _read_manifest(found)
-        _check_files(found, ["manifest.json"])
+        _check_files(found, [MANIFEST, *(part.file for part in manifest.components.values())])
         metadata = manifest.metadata.model_dump()
         return found, {**metadata, "config": adopt_config(metadata["config"])}
     except (OSError, ValueError) as error:
@@ -158,13 +163,11 @@ def load_checkpoint(
     spec.check(metadata, path=found)
     try:
         stored = _read_manifest(found).components
-        files = {name: f"{stored[name].path}/state.pt" for name in components}
-        _check_files(found, files.values())
         for name, component in components.items():
             own = component.state_dict() if isinstance(component, nn.Module) else {}
             like = {key: describe_tensor(value) for key, value in own.items()}
             remedy = "it is of another version, or its training diverged"
-            path = found / files[name]
+            path = found / stored[name].file
             state = load_tensors(path, what=name, remedy=remedy, like=like or None, device=device)
             component.load_state_dict(state)
     except Exception as error:  # states of other versions raise any
@@ -173,11 +176,11 @@ def load_checkpoint(
 
 
 def _read_manifest(path: Path) -> _Manifest:
-    manifest: _Manifest = read_plain(path / "manifest.json", _Manifest, what="a manifest")
+    manifest: _Manifest = read_plain(path / MANIFEST, _Manifest, what="a manifest")
     return manifest
 
 
-def _check_files(folder: Path, names: Collection[str]) -> None:
+def _check_files(folder: Path, names: Iterable[str]) -> None:
     """Compare files with their checksums; a missing one counts as damage."""
     lines = (folder / SUMS).read_text(encoding="utf-8").split("\n")
     sums = {name: value for value, _, name in (line.partition("  ") for line in lines)}
