@@ -15,6 +15,7 @@ from fishrl.envs.streams import Stream
 from fishrl.physics import Driven, InPlaceSolver
 
 
+@pytest.mark.slow
 @pytest.mark.compile
 def test_fast_beats_deflect_the_wake_to_the_side_of_the_first_stroke() -> None:
     """Two beats per body length of stream do, one and a half do not; Re_f = 500, 1 L/T."""

@@ -1,4 +1,4 @@
-"""Sweeps through the launchers that the extra `sweep` brings."""
+"""A sweep through joblib, which runs jobs side by side."""
 
 from __future__ import annotations
 
@@ -12,24 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from fishrl.programs.sweeps.runs import read_run, read_runs
+from fishrl.programs.sweeps.runs import read_run
 from fishrl.training.checkpoint import read_metadata
-from tests.programs.test_sweep_jobs import HERE, ROOT, SETTINGS, run_sweep
+from tests.programs.test_sweep_jobs import HERE, ROOT, SETTINGS
 
 pytestmark = pytest.mark.sweep
-
-
-def test_a_job_that_fails_leaves_the_others_of_submitit_alone(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    command = [*SETTINGS, f"folder={tmp_path}", f"logger._target_={HERE}.Gliding,{HERE}.Killed"]
-    settings = ("hydra/launcher=submitit_local", "hydra.launcher.timeout_min=10")
-    assert run_sweep(*command, *settings) == 1
-    runs = {run.path.name.rpartition(".")[2]: run.status for run in read_runs(tmp_path)}
-    assert runs == {"Gliding": "finished", "Killed": "failed"}
-    assert "1 of 2 runs finished" in capfd.readouterr().out
-    logs = [log for log in (tmp_path / ".submitit").glob("*/*.out") if log.stat().st_size > 0]
-    assert len({log.parent for log in logs}) == 2  # one process for each job
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")

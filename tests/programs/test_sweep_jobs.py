@@ -172,13 +172,18 @@ def test_runs_that_are_logged_and_compared_otherwise_are_one_group(tmp_path: Pat
     assert [len(group.runs) for group in group_runs(read_runs(tmp_path))] == [2, 1]
 
 
+@pytest.mark.sweep
 @pytest.mark.usefixtures("kinematic")
 def test_a_killed_job_leaves_the_others_and_is_continued_by_the_same_sweep(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    """Also by another launcher; that of submitit runs each job in a process of its own."""
     loggers = f"logger._target_={HERE}.Killed,{HERE}.Gliding"
     command = [*SETTINGS, f"folder={tmp_path}", loggers]
-    assert run_sweep(*command) == 1
+    launcher = ("hydra/launcher=submitit_local", "hydra.launcher.timeout_min=10")
+    assert run_sweep(*command, *launcher) == 1
+    logs = [log for log in (tmp_path / ".submitit").glob("*/*.out") if log.stat().st_size > 0]
+    assert len({log.parent for log in logs}) == 2
     killed, whole = (tmp_path / f"logger_{HERE}.{name}" for name in ("Killed", "Gliding"))
     assert read_run(whole).status == "finished"
     run = read_run(killed)
