@@ -118,7 +118,7 @@ def write_sums(folder: Path) -> None:
 
 
 def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[str, Any]]:
-    """Find a checkpoint, compare all its files with their checksums, and read its metadata.
+    """Find a checkpoint and read its metadata.
 
     ``path`` is a checkpoint, ``zoo/<name>`` (see ``fishrl.zoo``), or a run folder, in which
     ``which`` selects ``best`` (if missing, the last) or ``last``.
@@ -139,11 +139,23 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
         )
     try:
         manifest = _read_manifest(found)
-        _check_files(found, [MANIFEST, *(part.file for part in manifest.components.values())])
+        _check_files(found, [MANIFEST])
         metadata = manifest.metadata.model_dump()
         return found, {**metadata, "config": adopt_config(metadata["config"])}
     except (OSError, ValueError) as error:
         raise _corrupt(found, error) from error
+
+
+def check_checkpoint(path: Path) -> None:
+    """Compare all states with their checksums, before what would load them is compiled.
+
+    Raises:
+        ValueError: if one is missing or damaged.
+    """
+    try:
+        _check_files(path, [part.file for part in _read_manifest(path).components.values()])
+    except (OSError, ValueError) as error:
+        raise _corrupt(path, error) from error
 
 
 def load_checkpoint(
@@ -163,6 +175,7 @@ def load_checkpoint(
     spec.check(metadata, path=found)
     try:
         stored = _read_manifest(found).components
+        _check_files(found, [stored[name].file for name in components])
         for name, component in components.items():
             own = component.state_dict() if isinstance(component, nn.Module) else {}
             like = {key: describe_tensor(value) for key, value in own.items()}

@@ -12,7 +12,7 @@ from fishrl.settings import Role, flatten, list_fields, to_plain
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.callback import Callback
-from fishrl.training.checkpoint import read_metadata
+from fishrl.training.checkpoint import check_checkpoint, read_metadata
 from fishrl.training.classifier import Recognition, keep_recognition, name_recognition
 from fishrl.training.interruption import handling_signals
 from fishrl.training.logger import CsvLogger
@@ -194,6 +194,7 @@ def _continue(folder: RunFolder, plan: Plan, callbacks: Iterable[Callback]) -> T
     with folder.noting_failure():
         if folder.has_begun():  # its config.yaml has no checksum
             path, metadata = read_metadata(folder.path, which="last")
+            check_checkpoint(path)
             _refuse_other(plan, Plan.from_config(metadata["config"]), path)
         training = Training(resolve(plan, folder=folder.path), folder=folder, callbacks=callbacks)
         if folder.has_begun():

@@ -177,7 +177,7 @@ def test_runs_that_are_logged_and_compared_otherwise_are_one_group(tmp_path: Pat
 def test_a_killed_job_leaves_the_others_and_is_continued_by_the_same_sweep(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Also by another launcher; that of submitit runs each job in a process of its own."""
+    """By another launcher, too: submitit's, which runs each job in a process of its own."""
     loggers = f"logger._target_={HERE}.Killed,{HERE}.Gliding"
     command = [*SETTINGS, f"folder={tmp_path}", loggers]
     launcher = ("hydra/launcher=submitit_local", "hydra.launcher.timeout_min=10")

@@ -124,7 +124,7 @@ def test_a_file_that_is_missing_cut_or_changed_is_noticed(tmp_path: Path) -> Non
         for content in wrong:
             file.unlink() if content is None else file.write_bytes(content)
             with pytest.raises(ValueError, match="corrupt or not a checkpoint"):
-                read_metadata(tmp_path / "last")  # before anything compiles
+                load(tmp_path / "last")
             file.write_bytes(before)
     load(tmp_path / "last")
 

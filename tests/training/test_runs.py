@@ -235,6 +235,21 @@ def test_a_run_without_its_checkpoint_is_not_resumed(toy: Toy) -> None:
     assert "there is none" in (toy.folder / "run" / "failure.txt").read_text()
 
 
+def test_a_damaged_checkpoint_is_noticed_before_anything_compiles(
+    toy: Toy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    toy.begin(name="run", total_frames=16, **QUICK).run()
+    monkeypatch.setattr("fishrl.training.runs.Training", lambda *_, **__: pytest.fail("set up"))
+    states = sorted((toy.folder / "run" / "checkpoints" / "last").rglob("state.pt"))
+    assert len(states) > 3
+    for state in states:
+        content = state.read_bytes()
+        state.write_bytes(content[: len(content) // 2])
+        with pytest.raises(ValueError, match=rf"{state.parent.name}/state.pt has changed"):
+            toy.reopen("run")
+        state.write_bytes(content)
+
+
 def test_older_checkpoint_replaces_a_corrupt_one(toy: Toy) -> None:
     toy.begin(name="run", keep_checkpoints=3, **QUICK).run()
     folder = toy.folder / "run" / "checkpoints"
