@@ -31,6 +31,17 @@ def own_torch_state(*, is_learning: bool = False) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Run torch on one CPU thread: small networks and single flows gain nothing from more."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def in_own_state(function: Callable[P, T], *, is_learning: bool = False) -> Callable[P, T]:
     """Decorate a function with ``own_torch_state``."""
 

@@ -15,9 +15,9 @@ from torchrl.envs import ExplorationType, set_exploration_type
 from experiments.benchmarks.measuring import BenchmarkSettings, Case
 from fishrl.envs import Predation, make_env
 from fishrl.modules import make_actor
+from fishrl.torch_state import one_thread
 from fishrl.training import DiscreteSAC
 from fishrl.training.collector import ResumableCollector
-from fishrl.training.learner import one_thread
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
 

@@ -18,14 +18,13 @@ from tensordict import TensorDictBase
 from fishrl.envs.agents import split_fish
 from fishrl.envs.episodes import Episodes, Policy, name_counted, run_episodes
 from fishrl.settings import describe
-from fishrl.torch_state import with_own_state
+from fishrl.torch_state import one_thread, with_own_state
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
 from fishrl.training.collector import RNGState, make_collector
 from fishrl.training.evaluation import FINAL_SEED, SELECTION_SEED, TRAIN_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
-from fishrl.training.learner import one_thread
 from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
 from fishrl.training.resolve import ResolvedRun
 from fishrl.training.run_folder import RunFolder, write_json

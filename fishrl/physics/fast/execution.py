@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Collection, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import IO
 
 import torch
@@ -13,6 +14,7 @@ from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.fast.compiled import find_compiler_problem
 from fishrl.physics.fast.workers import Workers, can_send, map_shared, open_shared
 from fishrl.physics.flow import FlowConfig
+from fishrl.torch_state import one_thread
 
 logger = logging.getLogger(__name__)
 
@@ -24,7 +26,7 @@ class Execution:
         batch: the flows; with workers, in memory shared with them.
         group_size: flows per group.
         num_workers: additional processes.
-        workers: those processes, once they have started.
+        workers: those processes, once they have started, and those that only compile.
     """
 
     def __init__(
@@ -37,22 +39,25 @@ class Execution:
         flows_per_launch: int | None,
     ) -> None:
         num_envs, is_cpu = len(configs), device.type == "cpu"
-        can_share = is_cpu and can_send(configs)
+        self.group_size = flows_per_launch or (1 if is_cpu else num_envs)
+        if self.group_size < 1 or num_envs % self.group_size:
+            raise ValueError(
+                f"flows_per_launch = {flows_per_launch}: must divide the number of flows {num_envs}"
+            )
+        num_groups, can_share = num_envs // self.group_size, is_cpu and can_send(configs)
+        self._is_alone = False
         if num_workers is None:
             is_compiled = can_share and compile and not find_compiler_problem("cpu")
-            num_workers = min(count_cores(), num_envs) if is_compiled else 0
+            num_workers = min(count_cores(), num_groups) if is_compiled else 0
+            if num_workers == 1:  # it would take seconds to start, and this process wait for it
+                self._is_alone, num_workers = True, 0
         if num_workers < 0 or (num_workers and not can_share):
             raise ValueError(
                 f"num_workers = {num_workers} on {device}: must be 0 on a GPU; on a CPU, workers "
                 "need Linux or macOS, and each class of the configuration in a module, not in a "
                 "script or function"
             )
-        self.group_size = flows_per_launch or (1 if is_cpu else num_envs)
-        if self.group_size < 1 or num_envs % self.group_size:
-            raise ValueError(
-                f"flows_per_launch = {flows_per_launch}: must divide the number of flows {num_envs}"
-            )
-        self.num_workers = min(num_workers, num_envs // self.group_size)
+        self.num_workers = min(num_workers, num_groups)
         self.workers: Workers | None = None
         self._configs, self._device, self._wants_compile = configs, device, compile
         self._shared: IO[bytes] | None = None
@@ -66,7 +71,7 @@ class Execution:
         )
 
     def _allocate(self, num_bytes: int) -> Tensor:
-        if not self.num_workers:
+        if not (self.num_workers or self._is_alone):
             return torch.zeros(num_bytes, dtype=torch.uint8, device=self._device)
         self._shared = open_shared(num_bytes)
         return map_shared(self._shared.fileno(), num_bytes)
@@ -75,49 +80,65 @@ class Execution:
         """Compile the step and start the workers, once."""
         if self._is_ready or not (self.num_workers or self._wants_compile):
             return
-        stepper, first, began = self.batch.stepper, self.batch.first, time.perf_counter()
+        began = time.perf_counter()
         logger.info("compiling the flow step (up to a minute when new) ...")
+        self._run_children()
+        if self._wants_compile:  # only now: killed meanwhile, this process would leave its compiler
+            with self._limit_threads():
+                if not self.num_workers:
+                    self.batch.stepper.compile(self.batch.first)
+                self.batch.stepper.compile_check(self.batch.first)
+        self._is_ready = True
+        logger.info("flow step ready after %.1f s", time.perf_counter() - began)
+
+    def _run_children(self) -> None:
+        """Start the workers, and processes that compile what is new; wait until all is compiled."""
         if self._shared is None:
-            stepper.compile(first)
-        elif self.workers is None:
+            return
+        if self.workers is None:
             self.workers = Workers(
                 self._configs,
                 group_size=self.group_size,
                 file=self._shared.fileno(),
                 count=self.num_workers,
                 compile=self._wants_compile,
-                has_helper=self._can_help(),
             )
+            self.workers.add_helpers(self._count_helpers())
             self._shared.close()
-        if self.workers is not None:
-            self.workers.wait()
-            self.workers.end_helper()
-        if self._wants_compile:  # only now: killed meanwhile, this process would leave its compiler
-            stepper.compile_check(first)
-        self._is_ready = True
-        logger.info("flow step ready after %.1f s", time.perf_counter() - began)
+        self.workers.wait()
+        self.workers.end_helpers()
 
-    def _can_help(self) -> bool:
-        """Return whether there is something to compile, and an idle core."""
-        num_busy = self.num_workers + count_running() - 1  # this process will wait
-        if not self._wants_compile or num_busy >= count_cores():
-            return False
-        num_threads = torch.get_num_threads()
-        torch.set_num_threads(1)  # on which code depends: as in the workers
-        try:
-            return self.batch.stepper.is_new(self.batch.first)
-        finally:
-            torch.set_num_threads(num_threads)
+    def _count_helpers(self) -> int:
+        """Return how many more processes shall compile: on idle cores, and only what is new."""
+        if not self._wants_compile:
+            return 0
+        with one_thread():  # on which code depends: as in the workers
+            if not self.batch.stepper.is_new(self.batch.first):
+                return 0
+        num_idle = count_cores() - (count_running() - 1)  # workers run already; this process waits
+        return min(max(num_idle, 0), 1) if self.num_workers else min(max(num_idle, 1), 2)
+
+    def _limit_threads(self) -> AbstractContextManager[None]:
+        """Return a context in which flows that need one worker run here as they would there."""
+        return one_thread() if self._is_alone else nullcontext()
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
         """Advance some groups by an even number of steps, and wait; RuntimeError once closed."""
         if self._is_closed:
-            raise RuntimeError("this solver is closed and cannot advance: make a new one")
+            raise RuntimeError(
+                "this solver is closed, or was interrupted within a step: make a new one"
+            )
         self.compile()
-        if self.workers is not None:
+        if self.num_workers:
+            assert self.workers is not None
             self.workers.advance_(num_steps, groups)
-        else:
-            self.batch.advance_(num_steps, groups)
+            return
+        try:
+            with self._limit_threads():
+                self.batch.advance_(num_steps, groups)
+        except BaseException:  # as by Ctrl-C: in the middle of a step
+            self._is_closed = True
+            raise
 
     def close(self) -> None:
         """End the workers, if any; the flows can still be read."""

@@ -41,9 +41,10 @@ class InPlaceSolver:
         device: where everything lives.
         compile: compile the step; otherwise the same functions run eagerly.
         num_workers: CPU processes that share the flows, each on one core. None takes one per core,
-            at most one per flow, where the step is compiled; 0 runs all flows in this process, each
-            on all of torch's threads, which is faster for a single large flow on an idle machine
-            and much slower on a busy one; 0 on a GPU, and with classes of a notebook or script.
+            at most one per flow, where the step is compiled, and runs a single flow in this
+            process, on one core; 0 runs all flows in this process, each on all of torch's threads,
+            which is faster for a single large flow on an idle machine and much slower on a busy
+            one; 0 on a GPU, and with classes of a notebook or script.
         flows_per_launch: flows per group, which each pass over memory advances together; a divisor
             of B. None is one on a CPU, whose cache holds a flow, and all on a GPU.
     """

@@ -59,7 +59,6 @@ class Workers:
         file: descriptor of the shared memory.
         count: number of workers.
         compile: whether to compile the step.
-        has_helper: whether one more compiles, and ends then.
     """
 
     def __init__(
@@ -70,23 +69,27 @@ class Workers:
         file: int,
         count: int,
         compile: bool,
-        has_helper: bool = False,
     ) -> None:
-        total = count + has_helper
-        self._processes = [
-            start_child(
-                "from fishrl.physics.fast.workers import serve; serve()",
-                env=os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
-                stdout=subprocess.PIPE,
-                pass_fds=[file],
-            )
-            for _ in range(total)
-        ]
-        for first, process in enumerate(self._processes):
-            groups = range(first % count, len(configs) // group_size, count)
-            share = first / total
-            _send(process.stdin, (configs, group_size, groups, file, compile, share))
-        self._count = count
+        self._processes: list[subprocess.Popen[bytes]] = []
+        self._count, self._file, self._compile = count, file, compile
+        self._batch = configs, group_size
+        for first in range(count):
+            self._start(range(first, len(configs) // group_size, count), share=first / count)
+
+    def _start(self, groups: range, *, share: float) -> None:
+        process = start_child(
+            "from fishrl.physics.fast.workers import serve; serve()",
+            env=os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
+            stdout=subprocess.PIPE,
+            pass_fds=[self._file],
+        )
+        self._processes.append(process)
+        _send(process.stdin, (*self._batch, groups, self._file, self._compile, share))
+
+    def add_helpers(self, count: int) -> None:
+        """Start processes that only compile, until ``end_helpers``."""
+        for first in range(count):
+            self._start(range(1), share=(first + 0.5) / max(count, self._count))
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
         """Advance the flows of ``groups``, and wait for the workers."""
@@ -118,8 +121,8 @@ class Workers:
                 self.close()
                 raise ChildProcessError(f"a flow worker failed: {problem}")
 
-    def end_helper(self) -> None:
-        """End the worker that only compiles, if there is one."""
+    def end_helpers(self) -> None:
+        """End the processes that only compile."""
         while len(self._processes) > self._count:
             self._processes.pop().communicate()
 

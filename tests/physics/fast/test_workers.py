@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -13,6 +14,7 @@ import torch
 from fishrl.limits import count_cores
 from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
 from fishrl.physics.bodies.motion import Fixed
+from fishrl.physics.fast import workers as workers_module
 from fishrl.physics.fast.execution import Execution
 
 CONFIG = FlowConfig(width=32, height=24, tau=0.6)
@@ -81,20 +83,65 @@ def test_flows_in_processes_move_as_flows_here_do_until_they_are_closed() -> Non
     processes = list(there._execution.workers._processes)
     there.close()
     assert all(process.poll() is not None for process in processes)
-    with pytest.raises(RuntimeError, match="closed and cannot advance: make a new one"):
+    with pytest.raises(
+        RuntimeError, match="closed, or was interrupted within a step: make a new one"
+    ):
         there.advance_(2)
 
 
 def test_a_worker_that_only_compiles_ends_before_the_first_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(Execution, "_can_help", lambda execution: True)
+    monkeypatch.setattr(Execution, "_count_helpers", lambda execution: 1)
     here, there = make_solver(0), make_solver(1)
     for solver in (here, there):
         solver.advance_(6)
     assert torch.equal(here.populations(), there.populations())
     assert there._execution.workers is not None
     assert len(there._execution.workers._processes) == 1
+
+
+@pytest.mark.compile
+def test_a_single_flow_is_compiled_by_others_and_advances_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On one thread, with the code of a worker; only what is new starts a process."""
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    started: list[str] = []
+    start_child = workers_module.start_child
+
+    def start(code: str, **options: Any) -> subprocess.Popen[bytes]:
+        started.append(code)
+        return start_child(code, **options)
+
+    monkeypatch.setattr(workers_module, "start_child", start)
+    f, flows, counts = 0.01 * torch.rand(1, 9, 24, 32), [], []
+    for num_workers in (None, 1, None):
+        solver = InPlaceSolver(config=CONFIG, num_envs=1, num_workers=num_workers)
+        solver.set_populations_(f)
+        torch.set_num_threads(2)
+        solver.advance_(6)
+        assert torch.get_num_threads() == 2
+        torch.set_num_threads(1)
+        flows.append(solver.populations())
+        counts.append(len(started))
+    assert torch.equal(flows[0], flows[1]) and torch.equal(flows[0], flows[2])
+    assert counts[0] in (1, 2) and counts[1:] == [counts[0] + 1] * 2
+    stored = list(tmp_path.glob("fishrl/*/*.bin"))  # beside a worker, the check has two threads
+    assert len(stored) == len(solver._execution.batch.stepper.list_all()) + 1
+
+
+@pytest.mark.usefixtures("heeds_ctrl_c")
+def test_an_interrupted_flow_in_this_process_does_not_go_on_from_the_middle_of_a_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    solver = make_solver(0)
+    part = solver._execution.batch.stepper.parts[-1]
+    monkeypatch.setattr(part, "run", lambda *tensors: signal.raise_signal(signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt):
+        solver.advance_(2)
+    with pytest.raises(RuntimeError, match="make a new one"):
+        solver.advance_(2)
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
