@@ -1,6 +1,7 @@
 """Teach a fish with other senses what a trained policy does, and see how far its senses carry it.
 
     python examples/imitate.py own_motion lateral_line
+    python examples/imitate.py own_motion flow_label --streams 0.4 0.45 0.5
 
 DAgger (Ross, Gordon & Bagnell 2011, AISTATS, algorithm 3.1): the student acts, the teacher, whose
 senses it lacks, says what it would have done there, and the student learns that from all that was
@@ -22,6 +23,7 @@ from torch import Tensor, nn
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.senses import SenseName
+from fishrl.envs.transforms import ORACLE
 from fishrl.modules.actors import ILLEGAL_LOGIT
 from fishrl.pages import write_csv
 from fishrl.programs.statistics import find_share
@@ -86,12 +88,20 @@ class Lesson:
         name: the teacher, in ``fishrl.zoo``: a policy with discrete actions for the Kármán gait.
         senses: what the student observes.
         budget: of the student.
+        streams: their speeds in L/T, drawn per episode; by default the teacher's. A student with
+            ``flow_label`` is told which.
 
     Raises:
         ValueError: for another teacher.
     """
 
-    def __init__(self, name: str, senses: tuple[SenseName, ...], budget: Budget) -> None:
+    def __init__(
+        self,
+        name: str,
+        senses: tuple[SenseName, ...],
+        budget: Budget,
+        streams: tuple[float, ...] = (),
+    ) -> None:
         self.budget = budget
         teacher, task = load_policy(name)
         if not isinstance(task, KarmanGait) or task.num_label_inputs or task.action_bounds:
@@ -99,15 +109,25 @@ class Lesson:
                 f"teacher = {name}: give one for the Kármán gait with discrete actions and no flow "
                 "label, such as gait_bend"
             )
+        if streams:
+            stream = replace(task.stream, speeds_bl=streams)
+            task = replace(task, stream=stream, start_flows=tuple(range(len(streams))))
         self.teacher, self._of_teacher = teacher.module[0].module, (task.num_stacked, task.n_obs)
+        self.recognition = ORACLE if "flow_label" in senses else None
         self.task = replace(task, observes=senses, num_stacked=budget.num_stacked)
         self.both = replace(
             task,
             observes=(*task.observes, *senses),
             num_stacked=max(task.num_stacked, budget.num_stacked),
         )
-        self.plan = Plan(task=self.task, seed=budget.seed, total_frames=budget.decisions)
-        self.spec = PolicySpec.for_task(self.task)
+        self.plan = Plan(
+            task=self.task,
+            recognition=self.recognition,
+            seed=budget.seed,
+            total_frames=budget.decisions,
+        )
+        has_labels = self.recognition is not None
+        self.spec = PolicySpec.for_task(self.task, has_labels=has_labels)
         self.generator = torch.Generator().manual_seed(budget.seed)
         self.policy = self.plan.algorithm.make_policy(self.spec, self.generator)
         self.student = Standardised(self.policy.module[0].module, self.spec.num_inputs)
@@ -115,7 +135,7 @@ class Lesson:
 
     def act(self, state: TensorDictBase, share: float) -> TensorDictBase:
         """Let the teacher act in a ``share`` of the rows, drawn anew, and the student elsewhere."""
-        stack = state["observation_stack"].unflatten(-1, (-1, self.both.n_obs))
+        stack = state["observation_stack"].unflatten(-1, (self.both.num_stacked, -1))
         last, size = self._of_teacher
         state["inputs"] = stack[:, -self.budget.num_stacked :, size:].flatten(1)
         state["wanted"] = self.teacher(stack[:, -last:, :size].flatten(1))
@@ -155,7 +175,9 @@ class Lesson:
         """
         budget, spent, rounds = self.budget, 0, []
         starts_of = torch.Generator().manual_seed(TRAIN_SEED + budget.seed)
-        env = make_env(task=self.both, num_envs=num_envs, compile=compile)
+        env = make_env(
+            task=self.both, num_envs=num_envs, compile=compile, recognition=self.recognition
+        )
         for share in itertools.chain((1.0, 0.5), itertools.repeat(0.0)):
             starts = self.both.sample_starts(budget.episodes, starts_of)
             episodes = run_episodes(env, partial(self.act, share=share), starts, on_step=self.keep)
@@ -176,13 +198,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("senses", nargs="+", choices=get_args(SenseName), metavar="sense")
     parser.add_argument("--teacher", default="gait_bend")
+    parser.add_argument("--streams", nargs="*", type=float, default=[], metavar="L/T")
     parser.add_argument("--decisions", type=int, default=Budget.decisions)
     parser.add_argument("--stacked", type=int, default=Budget.num_stacked)
     parser.add_argument("--seed", type=int, default=Budget.seed)
     parser.add_argument("--folder", type=Path, default=Path("runs/imitation"))
     chosen = parser.parse_args()
     budget = Budget(decisions=chosen.decisions, num_stacked=chosen.stacked, seed=chosen.seed)
-    lesson = Lesson(chosen.teacher, tuple(chosen.senses), budget)
+    lesson = Lesson(chosen.teacher, tuple(chosen.senses), budget, tuple(chosen.streams))
     rounds, folder, config = lesson.give(), chosen.folder, lesson.plan.to_config()
     actor = {"actor": lesson.policy}
     save_checkpoint(folder, actor, spec=lesson.spec, frames=rounds[-1][0], config=config)

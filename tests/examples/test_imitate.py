@@ -9,21 +9,25 @@ import torch
 
 from examples.imitate import Budget, Lesson
 from fishrl.envs import make_env
+from fishrl.envs.senses import SenseName
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
 
-def make_lesson(**changes: int) -> Lesson:
-    lesson = Lesson("gait_bend", ("place", "heading"), Budget(**{"num_stacked": 2, **changes}))
+def make_lesson(*more: SenseName, **changes: int) -> Lesson:
+    budget, streams = Budget(**{"num_stacked": 2, **changes}), (0.4, 0.45, 0.5) if more else ()
+    lesson = Lesson("gait_bend", ("place", "heading", *more), budget, streams)
     lesson.both = replace(lesson.both, time_limit=20)
     return lesson
 
 
-def test_student_sees_what_its_own_task_shows() -> None:
-    lesson, seen = make_lesson(), []
+@pytest.mark.parametrize("more", [(), ("flow_label",)])
+def test_student_sees_what_its_own_task_shows(more: tuple[SenseName, ...]) -> None:
+    lesson, seen = make_lesson(*more), []
     starts = lesson.task.sample_starts(2, torch.Generator().manual_seed(0))
     for task in (lesson.task, lesson.both):
-        env = make_env(task=task, num_envs=2, starts=starts, compile=False)
+        labels = lesson.recognition
+        env = make_env(task=task, num_envs=2, starts=starts, compile=False, recognition=labels)
         state, stacks = env.reset(), []
         for _ in range(4):
             state["action"] = torch.tensor([4, 5])
