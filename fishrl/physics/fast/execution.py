@@ -26,7 +26,7 @@ class Execution:
         batch: the flows; with workers, in memory shared with them.
         group_size: flows per group.
         num_workers: additional processes.
-        workers: those processes, once they have started, and those that only compile.
+        workers: those processes, once they are ready.
     """
 
     def __init__(
@@ -93,20 +93,24 @@ class Execution:
 
     def _run_children(self) -> None:
         """Start the workers, and processes that compile what is new; wait until all is compiled."""
-        if self._shared is None:
+        if self._shared is None or self.workers is not None:
             return
-        if self.workers is None:
-            self.workers = Workers(
-                self._configs,
-                group_size=self.group_size,
-                file=self._shared.fileno(),
-                count=self.num_workers,
-                compile=self._wants_compile,
-            )
-            self.workers.add_helpers(self._count_helpers())
-            self._shared.close()
-        self.workers.wait()
-        self.workers.end_helpers()
+        workers = Workers(
+            self._configs,
+            group_size=self.group_size,
+            file=self._shared.fileno(),
+            count=self.num_workers,
+            compile=self._wants_compile,
+        )
+        try:
+            workers.add_helpers(self._count_helpers())
+            workers.wait()
+        except BaseException:  # as by Ctrl-C: the next time begins anew
+            workers.close()
+            raise
+        workers.end_helpers()
+        self._shared.close()
+        self.workers = workers
 
     def _count_helpers(self) -> int:
         """Return how many more processes shall compile: on idle cores, and only what is new."""

@@ -127,6 +127,19 @@ def test_a_single_flow_advances_here_on_one_thread_and_only_new_code_starts_proc
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
+def test_interrupted_while_it_waits_for_workers_a_solver_starts_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    solver = make_solver(2)
+    with monkeypatch.context() as patch:
+        patch.setattr(workers_module.Workers, "wait", lambda _: signal.raise_signal(signal.SIGINT))
+        with pytest.raises(KeyboardInterrupt):
+            solver.compile()
+    solver.advance_(2)
+    assert solver.populations().any()
+
+
+@pytest.mark.usefixtures("heeds_ctrl_c")
 def test_an_interrupted_flow_in_this_process_does_not_go_on_from_the_middle_of_a_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
