@@ -129,6 +129,12 @@ def check_four_arms() -> None:
     greedy = read("four_arms", "behaviour", "policy", "condition")
     blind, without = (greedy[arm, "as trained"] for arm in ("lateral line", "–"))
     assert find_interval(blind, "duration, T")[0] > 1.5 * find_interval(without, "duration, T")[1]
+    taught = read("four_arms", "recognition", "observed")
+    own, label, line = (
+        float(taught[f"own motion{more}",]["new: duration, T"])
+        for more in ("", ", label", ", lateral line")
+    )
+    assert abs(label - own) < 0.1 * own and line > 2 * max(own, label)
 
 
 def check_reproduction() -> None:

@@ -55,6 +55,13 @@ class Training:
         self.resolved, self.folder, self.plan = resolved, folder, resolved.plan
         self.task, self.callbacks = resolved.task, join(callbacks)
         self.counters, self.interruption = Counters(), interruption or Interruption()
+        if self.plan.total_frames <= self.plan.warmup_frames:
+            logger.warning(
+                "no gradient step in this run: total_frames = %d ends before warmup_frames = %d is "
+                "over; raise total_frames or lower warmup_frames",
+                self.plan.total_frames,
+                self.plan.warmup_frames,
+            )
         seed = self.plan.seed
         random.seed(seed)
         np.random.seed(seed)  # noqa: NPY002 - for libraries that use the global generator
@@ -92,13 +99,6 @@ class Training:
         counters, total = self.counters, self.plan.total_frames
         begun = self.plan.num_envs if counters.pending else 0  # counted when it is concluded
         self.callbacks.on_phase(self._phase(), total=total, done=counters.frames - begun)
-        if total <= self.plan.warmup_frames:
-            logger.warning(
-                "no gradient step in this run: total_frames = %d ends before warmup_frames = %d is "
-                "over; raise total_frames or lower warmup_frames",
-                total,
-                self.plan.warmup_frames,
-            )
         batches = iter(self.collector)
         while counters.pending or counters.frames < total:
             if not counters.pending:  # else the run was interrupted before this round's evaluation

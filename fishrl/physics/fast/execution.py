@@ -61,7 +61,7 @@ class Execution:
         self.workers: Workers | None = None
         self._configs, self._device, self._wants_compile = configs, device, compile
         self._shared: IO[bytes] | None = None
-        self._is_closed = self._is_ready = False
+        self._is_ready, self._end = False, ""  # why it cannot advance
         self.batch = FlowBatch(
             configs,
             group_size=self.group_size,
@@ -128,10 +128,8 @@ class Execution:
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
         """Advance some groups by an even number of steps, and wait; RuntimeError once closed."""
-        if self._is_closed:
-            raise RuntimeError(
-                "this solver is closed, or was interrupted within a step: make a new one"
-            )
+        if self._end:
+            raise RuntimeError(f"this solver {self._end}: make a new one")
         self.compile()
         if self.num_workers:
             assert self.workers is not None
@@ -141,11 +139,11 @@ class Execution:
             with self._limit_threads():
                 self.batch.advance_(num_steps, groups)
         except BaseException:  # as by Ctrl-C: in the middle of a step
-            self._is_closed = True
+            self._end = "was interrupted within a step"
             raise
 
     def close(self) -> None:
         """End the workers, if any; the flows can still be read."""
-        self._is_closed = True
+        self._end = "is closed"
         if self.workers is not None:
             self.workers.close()
