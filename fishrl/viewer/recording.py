@@ -121,7 +121,7 @@ class Recorder:
                 self._pending[row].append(frame)
                 self._last_T[row] = time
                 ways = (words for words, is_so in endings.items() if is_so[row].any())
-                self._words[row] = next(ways, "ended by the task")
+                self._words[row] = next(ways, "")
 
     def settle(self, step: TensorDictBase, rows: Collection[int]) -> None:
         """Give the frames of a decision that is over, with its action and reward.
@@ -144,7 +144,8 @@ class Recorder:
             if after["done"][row].any():
                 has_won = bool(is_success[row].any())
                 words = "lasted to the time limit" if has_won else "time is over"
-                words = self._words[row] if after["terminated"][row].any() else words
+                if after["terminated"][row].any():
+                    words = self._words[row] or ("success" if has_won else "ended by the task")
                 words = "the flow diverged" if has_diverged else words
                 ending = Ending(words=words, is_success=has_won)
             for number, frame in enumerate(frames, 1):

@@ -148,6 +148,8 @@ class FlowVectorEnv(VectorEnv):
         """
         state, waiting = self._need_state(), self._is_over.copy()
         if waiting.any() and self.autoreset_mode is AutoresetMode.DISABLED:
+            if self.num_envs == 1:
+                raise ValueError("the episode is over: call reset() first")
             raise ValueError(
                 f"rows {waiting.nonzero()[0].tolist()} are over: call "
                 "reset(options={'reset_mask': terminations | truncations}) first"

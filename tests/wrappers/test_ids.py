@@ -28,6 +28,11 @@ def test_a_vector_and_a_single_flow_are_made_by_id() -> None:
     assert np.array_equal(observation, observations[0])
     assert info["action_mask"].shape == (3,)
     check_env(env.unwrapped, skip_render_check=True)
+    env.reset(seed=3)
+    while not any(env.step(1)[2:4]):
+        pass
+    with pytest.raises(ValueError, match=r"the episode is over: call reset\(\) first"):
+        env.step(1)
     for made in (envs, env):
         made.close()
     with pytest.raises(ValueError, match="body_lenght"):
