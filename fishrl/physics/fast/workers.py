@@ -88,8 +88,9 @@ class Workers:
 
     def add_helpers(self, count: int) -> None:
         """Start processes that only compile, until ``end_helpers``."""
+        between = 0.5 if self._count else 0.0  # where workers begin
         for first in range(count):
-            self._start(range(1), share=(first + 0.5) / max(count, self._count))
+            self._start(range(1), share=(first + between) / max(count, self._count))
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
         """Advance the flows of ``groups``, and wait for the workers."""
