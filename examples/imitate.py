@@ -89,7 +89,7 @@ class Lesson:
         senses: what the student observes.
         budget: of the student.
         streams: their speeds in L/T, drawn per episode; by default the teacher's. A student with
-            ``flow_label`` is told which.
+            ``flow_label`` knows which.
 
     Raises:
         ValueError: for another teacher.
