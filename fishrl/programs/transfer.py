@@ -38,6 +38,7 @@ class TransferSettings(TaskSettings):
         free_episodes: episodes in each stream without the half disc, held by a PID controller,
             whose work is compared with that of the first policy; 0 for none.
         folder: folder for tables, figures and histories.
+        device: cpu or cuda.
     """
 
     task: KarmanGait
@@ -48,6 +49,7 @@ class TransferSettings(TaskSettings):
     recognition: str | None = None
     free_episodes: NonNegativeInt = 0
     folder: str = "runs/transfer"
+    device: str = "cpu"
 
 
 def transfer(
@@ -69,6 +71,7 @@ def transfer(
             trial,
             episodes=settings.episodes,
             folder=folder,
+            device=settings.device,
             progress=progress,
         )
         arms.setdefault(trial.arm, []).append(flows)
@@ -87,6 +90,7 @@ def transfer(
             episodes=settings.free_episodes,
             periods=settings.periods,
             folder=folder,
+            device=settings.device,
             progress=progress,
         )
     results = {

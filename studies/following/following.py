@@ -1,225 +1,158 @@
-"""Compare followers with fish alone: ``python -m experiments.following runs=[runs/a,runs/b]``.
+"""Compare followers with fish alone: ``PYTHONPATH=. python studies/following/following.py runs/a``.
 
-Runs each learned policy of ``task=follower``, and the baseline, from the same starts behind the
+Runs each learned policy of ``task=follower``, and ``keep_place``, from the same starts behind the
 leader and alone in the same stream, and counts the work of the muscles per distance swum through
-the water. Writes ``following.json``, ``following.md`` and ``following.png``.
+the water. Writes ``data/followers.csv`` and ``following.png``.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import argparse
+import csv
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.envs import TransformedEnv
 
-from experiments.figures.style import panels, tidy
-from experiments.pages import write_table
-from experiments.program import TaskSettings, check_names, program
-from experiments.statistics import Statistic
-from fishrl.bounds import bounded
 from fishrl.envs import Follower, make_env
 from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.envs.views import compute_fields
-from fishrl.training import load_policy
+from fishrl.programs.figures.style import panels, tidy
+from fishrl.programs.statistics import find_mean
+from fishrl.programs.train_settings import TRAINING
 from fishrl.training.baselines import make_baseline
-from fishrl.training.description import make
 from fishrl.training.evaluation import fixed_starts
-from fishrl.training.policies import load_plan
-from fishrl.training.progress import Progress
-from fishrl.training.run_folder import write_json
+from fishrl.training.policies import load_plan, load_policy
 
-#: Decisions between pictures of the flow, of which the last one is kept.
-SNAPSHOT = 40
-#: Settings of the task that may be other than in training.
-VARIED = ("leader", "time_limit", "start_x_bl", "start_y_bl", "start_degrees")
-
-
-@dataclass(frozen=True, kw_only=True)
-class FollowingSettings(TaskSettings):
-    """Settings of the comparison.
-
-    Args:
-        runs: run folders of learned policies, one per seed.
-        baseline: hand-crafted policy.
-        episodes: episodes of each policy, behind the leader and alone.
-        periods: duration of an episode in T.
-        settle_T: time at the beginning that is not counted, while the fish accelerates; the work
-            of episodes shorter than twice that is left out.
-        folder: folder for the results.
-        compile: compile the flow.
-    """
-
-    runs: tuple[str, ...] = ()
-    baseline: str = "keep_place"
-    episodes: int = bounded(16, least=1)
-    periods: float = bounded(100.0, greater=0)
-    settle_T: float = bounded(10.0, least=0)
-    folder: str = "runs/following"
-    compile: bool = True
+FOLDER = Path(__file__).parent
+EPISODES, PERIODS = 16, 40
+#: Time that is not counted, while the fish accelerates; shorter than twice that is left out.
+SETTLE_T = 10.0
+#: Decision whose flow is drawn.
+PICTURE = 40
+#: Columns: heading, entry of ``summarise``, format.
+COLUMNS = (
+    ("survived 40 T, %", "survived", ".0f"),
+    ("contact, %", "contact", ".0f"),
+    ("survival, T", "survival_T", ".1f"),
+    ("mean x, L", "x", ".2f"),
+    ("mean |y|, L", "aside", ".2f"),
+    ("beats per T", "frequency", ".2f"),
+    ("work per L, ρL⁴/T²", "cost", ".3f"),
+)
 
 
-class Record(NamedTuple):
-    """E episodes of N decisions; NaN after the end of an episode."""
+def run(task: Follower, policy: Any) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Return the numbers of each episode, ``[E]``, and what the figure needs."""
+    env = make_env(task=task, num_envs=EPISODES)
+    base = env.base_env
+    shown: dict[str, Any] = {}
 
-    place: Tensor  #: [E, N, 2] centre of mass behind the leader, L
-    work: Tensor  #: [E, N] of the muscles since the start, rho L^4 / T^2
-    way: Tensor  #: [E, N] through the water, L
-    frequency: Tensor  #: [E, N] beats per T
-    lengths: Tensor  #: [E] decisions
-    survived: Tensor  #: [E] bool
-    contact: Tensor  #: [E] bool
-    diverged: Tensor  #: [E] bool
-    outlines: list[Tensor]  #: of the bodies in the first flow, [K, 2] each, nodes
-    vorticity: Tensor  #: [Y, X] there, per T
+    def read(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
+        if start_of[0] == 0 and "field" not in shown and base.now["age"][0] >= PICTURE / 2 * period:
+            bodies = range(len(base.solver.bodies))
+            shown["outlines"] = [base.solver.markers(body)[0] for body in bodies]
+            shown["field"] = compute_fields(base.solver, task.scales)["vorticity"][0]
+        after = {name: step["next", name] for name in ("place", "work", "way", "contact")}
+        frequency = base.solver.body.frequency[:, None] * task.scales.period
+        return after | {"frequency": frequency}
 
-
-def record(env: TransformedEnv, policy: Any, *, advance: Callable[[], object]) -> Record:
-    """Run one episode in each flow, from the same starts for every policy."""
-    task, episodes = env.base_env.task, env.batch_size[0]
-    starts = fixed_starts(task, episodes, seed=0)
-    rows: list[Tensor] = []
-    pictures: list[tuple[list[Tensor], Tensor]] = []
-    contact = torch.zeros(episodes, dtype=torch.bool)
-
-    def keep(start_of: Tensor, step: TensorDictBase) -> None:
-        after = step["next"]
-        frequency = env.base_env.solver.body.frequency * task.scales.period
-        entries = (after["place"], after["work"], after["way"], frequency[:, None])
-        rows.append(torch.cat([entry.double() for entry in entries], -1))
-        contact.logical_or_((start_of >= 0) & after["contact"][:, 0])
-        if len(rows) % SNAPSHOT == 1 and start_of[0] == 0:  # flows are reset when episodes end
-            solver = env.base_env.solver
-            outlines = [solver.markers(m)[0] for m in range(len(solver.bodies))]
-            pictures[:] = [(outlines, compute_fields(solver, task.scales)["vorticity"][0].float())]
-        advance()
-
-    outcome = run_episodes(env, policy, starts, on_step=keep)
-    series, (outlines, vorticity) = torch.stack(rows, 1), pictures[-1]
-    series[torch.arange(series.shape[1]) >= outcome.lengths[:, None]] = torch.nan
-    work, way, frequency = series[..., 2:].unbind(-1)
-    done = (outcome.lengths, outcome.succeeded, contact, outcome.diverged, outlines, vorticity)
-    return Record(series[..., :2], work, way, frequency, *done)
-
-
-def summarise(done: Record, task: Follower, *, settle_T: float) -> dict[str, list[float]]:
-    """Return, per episode, what counts after ``settle_T``.
-
-    The cost of an episode shorter than twice that is NaN: it would hang on a few beats.
-    """
-    first = round(settle_T / task.interval_T)
-    last = (done.lengths - 1).clamp_min(0)[:, None]
-    early = last.new_full(last.shape, min(first, done.work.shape[1] - 1))
-    work, way = (s.gather(1, last) - s.gather(1, early) for s in (done.work, done.way))
-    is_long = last + 1 >= 2 * max(1, first)
-    cost = torch.where(is_long, work / way, torch.nan)
-    return {
-        "cost": cost[:, 0].tolist(),
-        "x": done.place[:, first:, 0].nanmean(1).tolist(),
-        "aside": done.place[:, first:, 1].abs().nanmean(1).tolist(),
-        "frequency": done.frequency[:, first:].nanmean(1).tolist(),
-        "survival_T": (done.lengths * task.interval_T).tolist(),
-        "survived": done.survived.double().tolist(),
-        "contact": done.contact.double().tolist(),
-        "diverged": done.diverged.double().tolist(),
-    }
-
-
-def tabulate(
-    results: dict[str, dict[str, list[float]]], *, cost_alone: float, baseline: str
-) -> str:
-    """Return the table of all arms, Markdown; ``cost_alone`` is the cost of the baseline alone."""
-    heads = (
-        *("policy", "survived", "contact", "diverged", "survival, T"),
-        *("x, L", "aside, L", "beats per T"),
-        *("work per L", f"relative to {baseline} alone"),
+    period = task.scales.period
+    episodes = run_episodes(env, policy, fixed_starts(task, EPISODES, seed=0), on_step=read)
+    env.close()
+    series = {name: episodes.traces.pad(name) for name in ("place", "work", "way", "frequency")}
+    contact = torch.stack([flag.any() for flag in episodes.traces["contact"]])
+    first = round(SETTLE_T / task.interval_T)
+    last = (episodes.lengths - 1)[:, None]
+    early = torch.full_like(last, first).minimum(last)
+    work, way = (
+        series[name].squeeze(-1).gather(1, last) - series[name].squeeze(-1).gather(1, early)
+        for name in ("work", "way")
     )
+    numbers = {
+        "survived": 100.0 * episodes.succeeded.double(),
+        "contact": 100.0 * contact.double(),
+        "survival_T": episodes.lengths * task.interval_T,
+        "x": series["place"][:, first:, 0].nanmean(1),
+        "aside": series["place"][:, first:, 1].abs().nanmean(1),
+        "frequency": series["frequency"][:, first:, 0].nanmean(1),
+        "cost": torch.where(last + 1 >= 2 * first, work / way, torch.nan)[:, 0],
+    }
+    return numbers, shown | {"path": series["place"][0]}
+
+
+def tabulate(results: dict[str, dict[str, Tensor]], runs: list[str]) -> None:
+    """Write the table: means with 95 % intervals over episodes, and of policies over seeds."""
     rows = []
-    for name, arm in results.items():
-        fine = {key: Statistic.of(each) for key, each in arm.items()}
-        relative = Statistic.of((torch.tensor(arm["cost"]) / cost_alone).tolist())
-        row = [name, *(fine[key].show(".0%") for key in ("survived", "contact", "diverged"))]
-        row += [fine[key].show(".2f") for key in ("survival_T", "x", "aside", "frequency")]
-        rows.append([*row, fine["cost"].show(".4f"), relative.show(".2f")])
-    return write_table(heads, rows)
+    alone = float(results["keep_place, alone"]["cost"].nanmean())
+    for where in ("behind the leader", "alone") if len(runs) > 1 else ():
+        means = [
+            {name: value.nanmean() for name, value in results[f"{run}, {where}"].items()}
+            for run in runs
+        ]
+        together = {name: torch.stack([mean[name] for mean in means]) for name in means[0]}
+        results[f"mean of {len(runs)} policies, {where}"] = together
+    for name, numbers in results.items():
+        row = {"policy": name}
+        relative = ("relative to keep_place alone", "relative", ".2f")
+        numbers["relative"] = numbers["cost"] / alone
+        for head, key, form in (*COLUMNS, relative):
+            values = numbers[key][~numbers[key].isnan()].tolist()
+            mean = find_mean(values)
+            row[head] = format(mean.value, form)
+            row[f"{head} ±"] = format(mean.high - mean.value, form)
+        rows.append(row)
+    with (FOLDER / "data" / "followers.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
-def average(policies: Sequence[dict[str, list[float]]]) -> dict[str, list[float]]:
-    """Return the mean over the episodes of each policy, as values of one arm."""
-    return {key: [Statistic.of(arm[key]).mean for arm in policies] for key in policies[0]}
-
-
-def write_figure(path: Path, tried: dict[str, Record], results: dict[str, Any]) -> None:
-    """Draw the flow at the end of the first arm, the paths of all, and cost against distance."""
+def draw(path: Path, shown: dict[str, dict[str, Any]], results: dict[str, Any]) -> None:
+    """Draw the flow of the first arm, the paths of all, and cost against distance."""
     with panels(path, size=(10.0, 3.4), columns=3, has_grid=False) as axes:
         flow, paths, costs = axes.flat
-        shown = next(iter(tried.values()))
-        flow.imshow(shown.vorticity, origin="lower", cmap="RdBu_r", vmin=-15, vmax=15)
-        for body in shown.outlines:
-            flow.fill(*body.T, color="black")
-        flow.set(title=next(iter(tried)), xlabel="x [nodes]", ylabel="y [nodes]")
-        for name, done in tried.items():
-            (line,) = paths.plot(*done.place[0].T, linewidth=0.8, label=name)
-            arm = results[name]
-            costs.scatter(arm["x"], arm["cost"], s=10, color=line.get_color(), label=name)
+        name, first = next(iter(shown.items()))
+        flow.imshow(first["field"], origin="lower", cmap="RdBu_r", vmin=-15, vmax=15)
+        for outline in first["outlines"]:
+            flow.fill(*outline.T, color="black")
+        flow.set(title=name, xlabel="x [nodes]", ylabel="y [nodes]")
+        for name, each in shown.items():
+            (line,) = paths.plot(*each["path"].T, linewidth=0.8, label=name)
+            own = results[name]
+            costs.scatter(own["x"], own["cost"], s=10, color=line.get_color(), label=name)
         paths.set(xlabel="x behind the leader [L]", ylabel="y [L]", title="first start")
         costs.set(xlabel="mean x behind the leader [L]", ylabel="work per L [ρL⁴/T²]")
         costs.set_ylim(bottom=0.0)
         costs.legend(fontsize=6)
-        for each in (paths, costs):
-            tidy(each)
+        tidy(paths)
+        tidy(costs)
 
 
-def check_tasks(runs: Sequence[str], task: Follower) -> None:
-    """Raise ValueError if a policy was trained in another task; ``VARIED`` may differ."""
-    varied = {name: getattr(task, name) for name in VARIED}
-    for run in runs:
-        own = load_plan(run)[1].task
-        if not isinstance(own, Follower) or replace(own, **varied) != task:
-            raise ValueError(f"{run}: was trained in another task; give its preset and settings")
-
-
-@program(FollowingSettings, groups={"task": "follower", "preset": None})
-def main(settings: FollowingSettings) -> None:
+def main() -> None:
     """Try all policies, and write table and figure."""
     torch.set_num_threads(1)
-    check_names([*(Path(run).name for run in settings.runs), settings.baseline])
-    task = make(settings.task, kind=Follower)
-    task = replace(task, time_limit=count_decisions(task, settings.periods))
-    check_tasks(settings.runs, task)
-    places = {"behind the leader": task, "alone": replace(task, leader="none")}
-    folder, tried = Path(settings.folder), dict[str, Record]()
-    with Progress() as progress:
-        for place, where in places.items():
-            env = make_env(task=where, num_envs=settings.episodes, compile=settings.compile)
-            for run in (*settings.runs, settings.baseline):
-                name = f"{Path(run).name}, {place}"
-                if run == settings.baseline:
-                    policy = make_baseline(run, task=where, seed=0)
-                else:
-                    policy = load_policy(run, task=where)
-                progress.start(name, total=where.time_limit)
-                tried[name] = record(env, policy, advance=lambda: progress.advance(1))
-            env.close()
-    results = {
-        name: summarise(done, task, settle_T=settings.settle_T) for name, done in tried.items()
-    }
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / "following.json", results)
-    shown, num = dict(results), len(settings.runs)
-    for place in places if num > 1 else ():
-        policies = [results[f"{Path(run).name}, {place}"] for run in settings.runs]
-        shown[f"mean of {num} policies, {place}"] = average(policies)
-    alone = Statistic.of(results[f"{settings.baseline}, alone"]["cost"])
-    table = tabulate(shown, cost_alone=alone.mean, baseline=settings.baseline)
-    (folder / "following.md").write_text(table, encoding="utf-8")
-    write_figure(folder / "following.png", tried, results)
-    print(table)
-    print(f"written to {folder}")
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("runs", nargs="*")
+    parser.add_argument("--settings", nargs="*", default=["preset=follower_small"])
+    given = parser.parse_args()
+    task = load_plan(given.runs[0])[1].task if given.runs else TRAINING.read(["algorithm=sac", *given.settings]).task
+    assert isinstance(task, Follower)
+    task = replace(task, time_limit=count_decisions(task, PERIODS))
+    results, shown = {}, {}
+    for where, leader in {"behind the leader": task, "alone": replace(task, leader="none")}.items():
+        for name in (*given.runs, "keep_place"):
+            if name == "keep_place":
+                policy: Any = make_baseline(name, task=leader, seed=0)
+            else:
+                policy = load_policy(name, task=leader)
+            label = f"{Path(name).name}, {where}"
+            results[label], shown[label] = run(leader, policy)
+            means = {key: round(float(value.double().nanmean()), 3) for key, value in results[label].items()}
+            print(label, means, flush=True)
+    tabulate(results, [Path(run).name for run in given.runs])
+    draw(FOLDER / "following.png", shown, results)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from fishrl.programs.gait.diagnostics import BALANCE, list_works, trace_work
 from fishrl.programs.gait.trials import Histories, Trial, pick, prolong, run_trial
 from fishrl.programs.statistics import half_width
 from fishrl.training.baselines import make_gait_policy
-from fishrl.training.callback import Callback
+from fishrl.training.callback import SILENT, Callback
 
 #: Longest duration of an episode, T; the work per T is that of its second half.
 MAX_PERIODS = 30.0
@@ -60,7 +60,13 @@ def make_free_trial(task: KarmanGait, *, periods: float) -> Trial:
 
 
 def hold_in_free_stream(
-    task: KarmanGait, *, episodes: int, periods: float, folder: Path, progress: Callback
+    task: KarmanGait,
+    *,
+    episodes: int,
+    periods: float,
+    folder: Path,
+    device: str = "cpu",
+    progress: Callback = SILENT,
 ) -> dict[str, Any]:
     """Return the results of free streams: ``flows``, ``work`` as it adds up, and their scales.
 
@@ -69,7 +75,8 @@ def hold_in_free_stream(
     """
     trial = make_free_trial(task, periods=periods)
     interval_T, flows, work = trial.task.interval_T, [], []
-    for flow in run_trial(trial, episodes=episodes, folder=folder, progress=progress):
+    where: Any = {"folder": folder, "device": device, "progress": progress}
+    for flow in run_trial(trial, episodes=episodes, **where):
         held = pick(flow, flow.lengths_T >= trial.task.time_limit * interval_T - 1e-6)
         counts = {"episodes": len(flow.flow), "held": len(held.flow)}
         flows.append(counts | summarise(held, interval_T=interval_T))

@@ -188,6 +188,7 @@ def run_trial(
     *,
     episodes: int,
     folder: Path,
+    device: str = "cpu",
     progress: Callback = SILENT,
 ) -> list[Histories]:
     """Run ``episodes`` from fixed starts in each flow, or read them from the folder if it can."""
@@ -206,7 +207,7 @@ def run_trial(
     # the same noses, phases and keys in each flow for every policy
     starts = torch.cat([starts[:episodes]] * flows)
     starts["flow_index"] = torch.arange(flows).repeat_interleave(episodes)
-    histories = record(trial, starts, progress=progress)
+    histories = record(trial, starts, device=device, progress=progress)
     path.parent.mkdir(parents=True, exist_ok=True)
     with staged(path) as stage:
         torch.save(histories._asdict(), stage)
@@ -217,6 +218,7 @@ def record(
     trial: Trial,
     starts: TensorDictBase,
     *,
+    device: str = "cpu",
     progress: Callback = SILENT,
 ) -> Histories:
     """Run one episode from each start ``[E]``, all side by side."""
@@ -224,6 +226,7 @@ def record(
     env = make_env(
         task=task,
         num_envs=len(starts),
+        device=device,
         frames_per_action=FRAMES,
         transforms=make_labelling(task, trial.recognition),
     )
@@ -251,7 +254,7 @@ def record(
 
     episodes = run_episodes(
         env,
-        trial.make_policy(),
+        trial.make_policy().to(device),
         starts,
         on_begin=lambda start_of, state: read_place() | read_frame(start_of, base),
         on_step=read_decision,

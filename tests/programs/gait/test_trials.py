@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict.nn import TensorDictModule
 
 import fishrl.envs.flow_env
 from fishrl.envs.changes import StreamSwitches
@@ -42,7 +43,7 @@ def test_lift_is_the_impulse_on_the_obstacle_per_time_in_rho_L_and_T(
         name="cruise",
         arm="cruise",
         task=task,
-        make_policy=lambda: lambda td: td.set("action", index),
+        make_policy=lambda: TensorDictModule(lambda _: index, ["action_mask"], ["action"]),
         identity="",
     )
     starts = task.sample_starts(2, torch.Generator().manual_seed(0))
