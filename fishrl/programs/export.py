@@ -8,7 +8,8 @@ VTK files for ParaView. Needs the extra ``export``.
 
 import json
 from contextlib import closing
-from itertools import cycle
+from itertools import count, pairwise
+from math import floor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,8 +58,9 @@ def simulate(settings: ExportSettings, *, progress: Callback = SILENT) -> "xr.Da
     """Run one episode and return its fields ``(time, y, x)`` and outlines ``(time, marker)``."""
     task, recognition, policy = settings.make_policy()
     max_decisions = min(task.time_limit, count_decisions(task, settings.periods))
-    stride = max(1, round(task.checks_per_action / task.interval_T / settings.frames_per_T))
-    is_due = cycle([*[False] * (stride - 1), True])  # at a check
+    share = min(1.0, settings.frames_per_T * task.interval_T / task.checks_per_action)  # of checks
+    written = (floor(check * share + 1e-9) for check in count(0))
+    is_due = (before < now for before, now in pairwise(written))
     env = settings.make_env(task, recognition, num_envs=1, progress=progress)
 
     def read(start_of: Tensor, what: object) -> dict[str, Tensor]:
@@ -79,13 +81,18 @@ def simulate(settings: ExportSettings, *, progress: Callback = SILENT) -> "xr.Da
             on_step=end,
             on_frame=lambda start_of, flows: read(start_of, flows) if next(is_due) else {},
         )
+    name = settings.policy or Path(str(settings.checkpoint)).resolve().name
+    commit = read_revision() or "unknown"
     return make_dataset(
         episodes.traces.of(0),
         body_length=task.scales.body_length,
         about={  # names of the CF conventions, where there are any
-            "title": f"{type(task).__name__}, policy {settings.source}, seed {settings.seed}",
-            "source": f"fishrl {__version__}, commit {read_revision() or 'unknown'}",
+            "title": f"{type(task).__name__}, policy {name}, seed {settings.seed}",
+            "source": f"fishrl {__version__}, commit {commit}",
             "comment": "lengths in body lengths L, times in periods T, pressure in rho (L/T)^2",
+            "policy": name,
+            "seed": settings.seed,
+            "commit": commit,
             "task": json.dumps(describe(task)),
             "reynolds": task.reynolds,
             "mach": task.scales.mach,

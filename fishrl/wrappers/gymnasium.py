@@ -48,6 +48,8 @@ def make_vector(task: type[AbstractTask], num_envs: int, **settings: Any) -> Flo
 
 def make_single(task: type[AbstractTask], **settings: Any) -> FlowSingleEnv:
     """Return an environment of one flow; arguments are those of ``make_vector``."""
+    if "num_envs" in settings:
+        raise ValueError("num_envs: gymnasium.make makes one flow; take gymnasium.make_vec")
     return FlowSingleEnv(make_vector(task, 1, autoreset_mode="Disabled", **settings))
 
 

@@ -14,6 +14,7 @@ from torchrl.envs import TransformedEnv
 
 from fishrl.envs.agents import AGENTS
 from fishrl.extras import show_install
+from fishrl.wrappers.pictures import Array, Pictures
 
 try:
     from gymnasium.spaces import Box, Discrete
@@ -22,8 +23,6 @@ except ImportError as error:
     raise ImportError(
         f"fishrl.wrappers.pettingzoo needs PettingZoo: {show_install('pettingzoo')}"
     ) from error
-
-Array = np.ndarray[Any, Any]
 
 
 class FlowParallelEnv(ParallelEnv[str, Array, Any]):
@@ -37,17 +36,31 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
     Args:
         env: an environment of ``make_env`` with ``num_envs=1``, of a task with several fish, which
             this wrapper owns and closes.
+        render_mode: ``rgb_array``, and ``render`` returns pictures; or None.
+        field: what these pictures show: vorticity, pressure or speed.
     """
 
-    def __init__(self, env: TransformedEnv) -> None:
+    def __init__(
+        self, env: TransformedEnv, *, render_mode: str | None = None, field: str = "vorticity"
+    ) -> None:
         task = env.base_env.task
-        if task.num_fish == 1 or env.batch_size != (1,):
+        if task.num_fish == 1:
             raise ValueError(
-                f"FlowParallelEnv wraps one flow with several fish, not {env.batch_size[0]} with "
-                f"{task.num_fish}: set num_envs=1, and take FlowVectorEnv for a single fish"
+                f"{type(task).__name__} has one fish, and FlowParallelEnv wraps several: take "
+                "fishrl.wrappers.gymnasium"
+            )
+        if env.batch_size != (1,):
+            raise ValueError(
+                f"FlowParallelEnv wraps one flow, not {env.batch_size[0]}: make_env(num_envs=1)"
             )
         self.env = env
-        self.metadata = {"name": f"fishrl_{type(task).__name__.lower()}"}
+        self.render_mode = render_mode
+        self.metadata = {
+            "name": f"fishrl_{type(task).__name__.lower()}",
+            "render_modes": ["rgb_array"],
+            "render_fps": 8,
+        }
+        self._pictures = Pictures(env, render_mode=render_mode, field=field)
         self.possible_agents: list[str] = list(env.group_map[AGENTS])
         self.agents: list[str] = []
         length = env.full_observation_spec[AGENTS, "observation_stack"].shape[-1]
@@ -77,6 +90,7 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
         if seed is not None:
             self.env.set_seed(int(seed), static_seed=True)
         self.agents = list(self.possible_agents)
+        self._pictures.is_new[:] = True
         self._state: TensorDictBase = self.env.reset()
         return self._observe(), self._tell()
 
@@ -113,6 +127,14 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
         terminations, truncations = (dict.fromkeys(agents, end) for end in ends)
         by_agent = dict(zip(agents, rewards, strict=True))
         return self._observe(), by_agent, terminations, truncations, self._tell()
+
+    def render(self) -> Array:
+        """Return a picture of the flow ``[height, width, 3]``, uint8.
+
+        Raises:
+            ValueError: without ``render_mode="rgb_array"``.
+        """
+        return self._pictures.paint()[0]
 
     def close(self) -> None:
         """End the solver's processes, if any."""

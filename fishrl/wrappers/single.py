@@ -7,7 +7,8 @@ import numpy as np
 from gymnasium import Env
 from gymnasium.vector import AutoresetMode
 
-from fishrl.wrappers.vector import Array, FlowVectorEnv
+from fishrl.wrappers.pictures import Array
+from fishrl.wrappers.vector import FlowVectorEnv
 
 
 class FlowSingleEnv(Env[Array, Any]):

@@ -10,11 +10,8 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import step_mdp
 
 from fishrl.envs.flow_env import FlowEnv
-from fishrl.envs.scene import Frame
 from fishrl.extras import show_install
-from fishrl.viewer import make_scene
-from fishrl.viewer.film import FramePainter
-from fishrl.viewer.recording import read_values
+from fishrl.wrappers.pictures import Array, Pictures
 
 try:
     from gymnasium.error import ResetNeeded
@@ -26,7 +23,6 @@ except ImportError as error:
         f"fishrl.wrappers.gymnasium needs gymnasium: {show_install('gymnasium')}"
     ) from error
 
-Array = np.ndarray[Any, Any]
 OBSERVED = ("observation", "observation_stack")
 
 
@@ -68,12 +64,10 @@ class FlowVectorEnv(VectorEnv):
         render_mode: str | None = None,
         field: str = "vorticity",
     ) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array' or None")
         if env.base_env.task.num_fish > 1:
             raise ValueError(
                 f"{type(env.base_env.task).__name__} has several fish, for which Gymnasium has no "
-                "environments: use make_env, whose layout TorchRL's multi-agent scripts take"
+                "environments: take fishrl.wrappers.pettingzoo.FlowParallelEnv"
             )
         self.env = env
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -96,14 +90,10 @@ class FlowVectorEnv(VectorEnv):
             "render_modes": ["rgb_array"],
             "render_fps": 8,
         }
-        self._scene = make_scene(env, field=field)
-        self._painters = [
-            FramePainter(self._scene, dpi=100.0) for _ in range(self.num_envs if render_mode else 0)
-        ]
+        self._pictures = Pictures(env, render_mode=render_mode, field=field)
         self._reported = [name for name in specs.keys(True, True) if name not in OBSERVED]
         self._state: TensorDictBase | None = None
         self._is_over = np.zeros(self.num_envs, dtype=np.bool_)
-        self._is_unseen = np.ones(self.num_envs, dtype=np.bool_)  # an episode without a picture
 
     @property
     def flows(self) -> FlowEnv:
@@ -130,7 +120,7 @@ class FlowVectorEnv(VectorEnv):
             raise ValueError(f"options = {unknown}: there is only 'reset_mask'")
         if not options:
             self._state = self.env.reset()
-            self._is_over[:], self._is_unseen[:] = False, True
+            self._is_over[:], self._pictures.is_new[:] = False, True
         else:
             rows = _read("reset_mask", options["reset_mask"], (self.num_envs,), np.bool_)
             self._state = self._reset_rows(self._need_state(), rows)
@@ -189,21 +179,9 @@ class FlowVectorEnv(VectorEnv):
         Raises:
             ValueError: without ``render_mode="rgb_array"``.
         """
-        if not self._painters:
-            raise ValueError("render: make the environment with render_mode='rgb_array'")
-        solver, task = self.flows.solver, self.flows.task
-        self._need_state()
-        values = read_values(self.flows, self._scene)
-        frames = [
-            Frame(
-                time=float(solver.body.age[row]) / task.scales.period,
-                values={name: value[row].cpu() for name, value in values.items()},
-                begins=bool(self._is_unseen[row]),
-            )
-            for row in range(self.num_envs)
-        ]
-        self._is_unseen[:] = False
-        return tuple(p.paint(frame) for p, frame in zip(self._painters, frames, strict=True))
+        if self.render_mode is not None:
+            self._need_state()
+        return self._pictures.paint()
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the solver's processes, if any."""
@@ -233,7 +211,7 @@ class FlowVectorEnv(VectorEnv):
 
     def _reset_rows(self, state: TensorDictBase, rows: Array) -> TensorDictBase:
         """Return the state with new episodes in ``rows``."""
-        self._is_unseen |= rows
+        self._pictures.is_new |= rows
         mask = torch.as_tensor(rows, device=self.env.device).unsqueeze(-1)
         fresh: TensorDictBase = self.env.reset(
             state.copy().set("_reset", mask), select_reset_only=1

@@ -32,6 +32,7 @@ def flow() -> xr.Dataset:
 
 def test_fields_are_in_body_lengths_and_periods(flow: xr.Dataset) -> None:
     assert flow["time"].values == pytest.approx([0.0, 0.5, 1.0], abs=0.06)  # at a check
+    assert flow["time"].values[-1] == pytest.approx(1.0, abs=1e-9)  # the end, whole periods later
     assert flow["vorticity"].dims == ("time", "y", "x")
     assert flow["x"].values[-1] == pytest.approx(79 / 16)
     outline = flow["outline_0"].values
@@ -55,6 +56,8 @@ def test_xarray_reads_netcdf_and_zarr(flow: xr.Dataset, tmp_path: Path) -> None:
         assert read.attrs["nodes_per_L"] == task["body_length"] == 16
         assert read.attrs["reynolds"] == task["reynolds"]
         assert read.attrs["steps_per_T"] > 1 and "pursuit" in read.attrs["title"]
+        assert (read.attrs["policy"], read.attrs["seed"]) == ("pursuit", 0)
+        assert read.attrs["commit"] in read.attrs["source"]
 
 
 def test_vtk_reads_the_flow_and_the_bodies(flow: xr.Dataset, tmp_path: Path) -> None:

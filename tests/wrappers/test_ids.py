@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 from pettingzoo.test import parallel_api_test
 
-from fishrl.envs import PredationPair, make_env
+from fishrl.envs import Predation, PredationPair, make_env
 from fishrl.wrappers.gymnasium import TASKS, FlowVectorEnv
 from fishrl.wrappers.pettingzoo import FlowParallelEnv
 from tests.envs.conftest import SMALL
@@ -37,6 +37,8 @@ def test_a_vector_and_a_single_flow_are_made_by_id() -> None:
         made.close()
     with pytest.raises(ValueError, match="body_lenght"):
         gymnasium.make("fishrl/Predation-v0", body_lenght=50)
+    with pytest.raises(ValueError, match=r"take gymnasium\.make_vec"):
+        gymnasium.make("fishrl/Predation-v0", num_envs=4, **SETTINGS)
 
 
 def test_record_video_writes_a_film_of_a_single_flow(tmp_path: Path) -> None:
@@ -60,5 +62,25 @@ def test_several_fish_pass_pettingzoos_own_test(action: str) -> None:
     with pytest.raises(ValueError, match=r"expected \['fish_0', 'fish_1'\]"):
         env.step({"fish_0": 1})
     env.close()
-    with pytest.raises(ValueError, match="num_envs=1"):
+    with pytest.raises(ValueError, match=r"one flow, not 2: make_env\(num_envs=1\)"):
         FlowParallelEnv(make_env(task=task, num_envs=2, compile=False))
+    with pytest.raises(ValueError, match="Predation has one fish"):
+        FlowParallelEnv(make_env(task=Predation(**SMALL), num_envs=1, compile=False))
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_pictures_of_several_fish_change_as_they_swim() -> None:
+    flow = make_env(task=PredationPair(**SMALL, time_limit=3), num_envs=1, compile=False)
+    env = FlowParallelEnv(flow, render_mode="rgb_array")
+    env.reset(seed=1)
+    first = env.render()
+    env.step({"fish_0": 1, "fish_1": 1})
+    second = env.render()
+    assert first.shape == second.shape and first.dtype == np.uint8
+    assert 0.0 < (first != second).mean() < 0.5
+    env.close()
+    without = FlowParallelEnv(make_env(task=PredationPair(**SMALL), num_envs=1, compile=False))
+    without.reset(seed=1)
+    with pytest.raises(ValueError, match="render_mode='rgb_array'"):
+        without.render()
+    without.close()

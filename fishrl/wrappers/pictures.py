@@ -1,0 +1,55 @@
+"""Pictures of the flows of an environment, for ``render``."""
+
+from typing import Any
+
+import numpy as np
+from torchrl.envs import TransformedEnv
+
+from fishrl.envs.scene import Frame
+from fishrl.viewer import make_scene
+from fishrl.viewer.film import FramePainter
+from fishrl.viewer.recording import read_values
+
+Array = np.ndarray[Any, Any]
+
+
+class Pictures:
+    """Paints the current state of each flow; the path of the nose begins with each episode.
+
+    Args:
+        env: an environment of ``make_env``.
+        render_mode: ``rgb_array``, or None for no pictures.
+        field: what they show: vorticity, pressure or speed.
+    """
+
+    def __init__(self, env: TransformedEnv, *, render_mode: str | None, field: str) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array' or None")
+        num = int(env.batch_size[0])
+        self.flows = env.base_env
+        self.scene = make_scene(env, field=field)  # refuses an unknown field
+        self.painters = [
+            FramePainter(self.scene, dpi=100.0) for _ in range(num if render_mode else 0)
+        ]
+        self.is_new = np.ones(num, dtype=np.bool_)  # an episode without a picture
+
+    def paint(self) -> tuple[Array, ...]:
+        """Return a picture ``[height, width, 3]``, uint8, of each flow.
+
+        Raises:
+            ValueError: without ``render_mode="rgb_array"``.
+        """
+        if not self.painters:
+            raise ValueError("render: make the environment with render_mode='rgb_array'")
+        solver, period = self.flows.solver, self.flows.task.scales.period
+        values = read_values(self.flows, self.scene)
+        frames = [
+            Frame(
+                time=float(solver.body.age[row]) / period,
+                values={name: value[row].cpu() for name, value in values.items()},
+                begins=bool(self.is_new[row]),
+            )
+            for row in range(len(self.painters))
+        ]
+        self.is_new[:] = False
+        return tuple(p.paint(frame) for p, frame in zip(self.painters, frames, strict=True))
