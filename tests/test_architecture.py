@@ -57,13 +57,16 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/envs/wakes.py", TENSORS | {"tqdm"} | TASK_SIDE),
     (
         "fishrl/wrappers/vector.py",
-        TENSORS | {"torchrl", "gymnasium", "fishrl.extras", "fishrl.viewer"} | TASK_SIDE,
+        TENSORS | {"torchrl", "gymnasium", "fishrl.extras", "fishrl.wrappers.pictures"} | TASK_SIDE,
     ),
+    ("fishrl/wrappers/pictures.py", TENSORS | {"torchrl", "fishrl.viewer"} | TASK_SIDE),
     ("fishrl/wrappers/single.py", {"numpy", "gymnasium", "fishrl.wrappers"}),
     ("fishrl/wrappers/gymnasium.py", {"gymnasium", "fishrl.envs", "fishrl.wrappers"}),
     (
         "fishrl/wrappers/pettingzoo.py",
-        TENSORS | {"torchrl", "gymnasium", "pettingzoo", "fishrl.extras"} | TASK_SIDE,
+        TENSORS
+        | {"torchrl", "gymnasium", "pettingzoo", "fishrl.extras", "fishrl.wrappers.pictures"}
+        | TASK_SIDE,
     ),
     (
         "fishrl/wrappers/stable_baselines.py",
