@@ -65,13 +65,20 @@ def check_drift_sweep() -> None:
 
 
 def check_following() -> None:
-    """Learned followers save work only behind the leader."""
-    rows = read("following", "followers", "policy")
+    """Learned followers save work only behind the leader, with a sharp skin less than by hand."""
     relative = "relative to `keep_place` alone"
-    behind, alone = (
-        rows[f"mean of 3 policies, {where}",] for where in ("behind the leader", "alone")
-    )
-    assert find_interval(behind, relative)[1] < 1 < find_interval(alone, relative)[0]
+    for skin in ("followers", "immersed"):
+        rows = read("following", skin, "policy")
+        behind, alone, by_hand = (
+            find_interval(rows[name,], relative)
+            for name in (
+                "mean of 3 policies, behind the leader",
+                "mean of 3 policies, alone",
+                "`keep_place`, behind the leader",
+            )
+        )
+        assert behind[1] < 1 < alone[1]
+        assert (by_hand[1] < behind[0]) == (skin == "followers")
 
 
 def check_gait_forces() -> None:

@@ -125,17 +125,19 @@ def draw(figure: Figure, runs: Runs) -> None:
     """Draw the wakes and the lift."""
     found = {reynolds: runs.by("diameter", reynolds=reynolds) for reynolds in SPEEDS}
     found = {reynolds: sizes for reynolds, sizes in found.items() if sizes}
-    *wakes, lift = figure.subplots(len(found) + 1, 1)
+    shape = [[str(reynolds) for reynolds in found], ["lift"] * len(found)]
+    panels = figure.subplot_mosaic(shape, height_ratios=(3, 2))
+    lift = panels["lift"]
     left, right, low, high = WINDOW_D
     reach = (left - FACE_D, right - FACE_D, low - 0.5 * HEIGHT_D, high - 0.5 * HEIGHT_D)
-    for axes, (reynolds, sizes) in zip(wakes, found.items(), strict=True):
-        run = sizes[max(sizes)]
+    for reynolds, sizes in found.items():
+        axes, run = panels[str(reynolds)], sizes[max(sizes)]
         wake.draw_vorticity(axes, run, reach, limit=5.0)
         axes.set_title(f"Re = {reynolds}, D = {max(sizes)} nodes")
         wake.draw_series(lift, run, "lift", f"Re = {reynolds}")
     lift.set(xlabel="time  [D / U]", ylabel="lift coefficient")
-    lift.legend(ncols=3, loc="upper right")
+    figure.legend(*lift.get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
 
 SOURCE = "none; the shedding frequencies in the paper's table are listed for comparison"
-CASE = Case("d-cylinder", __doc__, SOURCE, JOBS, judge, draw, size=(7.6, 8.2))
+CASE = Case("d-cylinder", __doc__, SOURCE, JOBS, judge, draw, size=(12.0, 5.0))

@@ -29,9 +29,9 @@ FOLDER = Path(__file__).parent
 EPISODES, PERIODS = 16, 40
 #: Time that is not counted, while the fish accelerates; shorter than twice that is left out.
 SETTLE_T = 10.0
-#: Decision whose flow is drawn.
-PICTURE = 40
-#: Columns: heading, entry of ``summarise``, format.
+#: Time at which the flow is drawn.
+PICTURE_T = 20.0
+#: Columns: heading, entry of ``run_all``, format.
 COLUMNS = (
     ("survived 40 T, %", "survived", ".0f"),
     ("contact, %", "contact", ".0f"),
@@ -43,14 +43,15 @@ COLUMNS = (
 )
 
 
-def run(task: Follower, policy: Any) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def run_all(task: Follower, policy: Any) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Return the numbers of each episode, ``[E]``, and what the figure needs."""
     env = make_env(task=task, num_envs=EPISODES)
     base = env.base_env
     shown: dict[str, Any] = {}
 
     def read(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
-        if start_of[0] == 0 and "field" not in shown and base.now["age"][0] >= PICTURE / 2 * period:
+        is_due = base.now["age"][0] >= PICTURE_T * task.scales.period
+        if start_of[0] == 0 and is_due and not shown:
             bodies = range(len(base.solver.bodies))
             shown["outlines"] = [base.solver.markers(body)[0] for body in bodies]
             shown["field"] = compute_fields(base.solver, task.scales)["vorticity"][0]
@@ -58,7 +59,6 @@ def run(task: Follower, policy: Any) -> tuple[dict[str, Tensor], dict[str, Any]]
         frequency = base.solver.body.frequency[:, None] * task.scales.period
         return after | {"frequency": frequency}
 
-    period = task.scales.period
     episodes = run_episodes(env, policy, fixed_starts(task, EPISODES, seed=0), on_step=read)
     env.close()
     series = {name: episodes.traces.pad(name) for name in ("place", "work", "way", "frequency")}
@@ -82,20 +82,20 @@ def run(task: Follower, policy: Any) -> tuple[dict[str, Tensor], dict[str, Any]]
     return numbers, shown | {"path": series["place"][0]}
 
 
-def tabulate(results: dict[str, dict[str, Tensor]], runs: list[str]) -> None:
+def tabulate(results: dict[str, dict[str, Tensor]], seeds: list[str]) -> None:
     """Write the table: means with 95 % intervals over episodes, and of policies over seeds."""
     rows = []
-    alone = float(results["keep_place, alone"]["cost"].nanmean())
-    for where in ("behind the leader", "alone") if len(runs) > 1 else ():
+    alone = float(results["`keep_place`, alone"]["cost"].nanmean())
+    for where in ("behind the leader", "alone") if len(seeds) > 1 else ():
         means = [
-            {name: value.nanmean() for name, value in results[f"{run}, {where}"].items()}
-            for run in runs
+            {name: value.nanmean() for name, value in results[f"{seed}, {where}"].items()}
+            for seed in seeds
         ]
         together = {name: torch.stack([mean[name] for mean in means]) for name in means[0]}
-        results[f"mean of {len(runs)} policies, {where}"] = together
+        results[f"mean of {len(seeds)} policies, {where}"] = together
     for name, numbers in results.items():
         row = {"policy": name}
-        relative = ("relative to keep_place alone", "relative", ".2f")
+        relative = ("relative to `keep_place` alone", "relative", ".2f")
         numbers["relative"] = numbers["cost"] / alone
         for head, key, form in (*COLUMNS, relative):
             values = numbers[key][~numbers[key].isnan()].tolist()
@@ -141,17 +141,17 @@ def main() -> None:
     assert isinstance(task, Follower)
     task = replace(task, time_limit=count_decisions(task, PERIODS))
     results, shown = {}, {}
-    for where, leader in {"behind the leader": task, "alone": replace(task, leader="none")}.items():
-        for name in (*given.runs, "keep_place"):
-            if name == "keep_place":
-                policy: Any = make_baseline(name, task=leader, seed=0)
-            else:
-                policy = load_policy(name, task=leader)
-            label = f"{Path(name).name}, {where}"
-            results[label], shown[label] = run(leader, policy)
-            means = {key: round(float(value.double().nanmean()), 3) for key, value in results[label].items()}
-            print(label, means, flush=True)
-    tabulate(results, [Path(run).name for run in given.runs])
+    for where, own in {"behind the leader": task, "alone": replace(task, leader="none")}.items():
+        policies: dict[str, Any] = {
+            f"seed {load_plan(run)[1].seed}": load_policy(run, task=own) for run in given.runs
+        }
+        policies["`keep_place`"] = make_baseline("keep_place", task=own, seed=0)
+        for name, policy in policies.items():
+            label = f"{name}, {where}"
+            results[label], shown[label] = run_all(own, policy)
+            means = {key: float(value.double().nanmean()) for key, value in results[label].items()}
+            print(label, {key: round(mean, 3) for key, mean in means.items()}, flush=True)
+    tabulate(results, [f"seed {load_plan(run)[1].seed}" for run in given.runs])
     draw(FOLDER / "following.png", shown, results)
 
 

@@ -20,7 +20,7 @@ from fishrl.envs.task import Command
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending, Driven
 from fishrl.physics.fast.solver import InPlaceSolver
-from fishrl.physics.flow import Coupling, FlowConfig, Sponge
+from fishrl.physics.flow import FlowConfig, Sponge
 
 #: Time constants of the bend in an action; a faster one would fling the tail.
 RESPONSE = 2.0
@@ -49,8 +49,8 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
 
     Parameters follow the tasks twoFish and cylFollow of CubismUP 2D (CSE-lab, ETH Zürich).
 
-    The skin is the immersed boundary by default: ``stream_speed_bl``, at which a held leader is
-    carried along by no mean force, and ``cost_alone`` belong to it (a sharp skin needs 0.49).
+    ``stream_speed_bl``, at which no mean force acts on a held leader, and ``cost_alone`` are those
+    of the sharp skin at L = 32; the immersed boundary needs 0.35 and 0.11.
 
     Args:
         leader: fish, or none, for comparison with a fish alone. (``KarmanGait`` with a
@@ -76,18 +76,17 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
     body_length: int = 32
     reynolds: float = 5000.0
     max_wall_speed: float = 0.15
-    coupling: Coupling = Coupling.IMPLICIT
     domain_bl: tuple[float, float] = (6.0, 3.0)
     wall_margin_bl: float = 0.16
     time_limit: int = 200
     control_interval_T: float = 0.5
     checks_per_action: int = 16
     leader: Literal["fish", "none"] = "fish"
-    stream_speed_bl: PositiveFloat = 0.35
+    stream_speed_bl: PositiveFloat = 0.49
     turn_degrees: Annotated[float, Field(gt=0, le=30)] = 6.0
     frequency_range: Annotated[tuple[_Frequency, _Frequency], Rising] = (0.7, 1.35)
     amplitude_range: Annotated[tuple[_Share, _Share], Rising] | None = None
-    cost_alone: PositiveFloat = 0.11
+    cost_alone: PositiveFloat = 0.05
     leader_x_bl: PositiveFloat = 1.75
     start_x_bl: tuple[float, float] = (1.0, 1.5)
     start_y_bl: tuple[float, float] = (-0.25, 0.25)
