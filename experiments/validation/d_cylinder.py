@@ -13,6 +13,7 @@ the outflow.
 
 from collections.abc import Iterator, Mapping
 from math import pi
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -125,7 +126,7 @@ def draw(figure: Figure, runs: Runs) -> None:
     """Draw the wakes and the lift."""
     found = {reynolds: runs.by("diameter", reynolds=reynolds) for reynolds in SPEEDS}
     found = {reynolds: sizes for reynolds, sizes in found.items() if sizes}
-    shape = [[str(reynolds) for reynolds in found], ["lift"] * len(found)]
+    shape: Any = [[str(reynolds) for reynolds in found], ["lift"] * len(found)]
     panels = figure.subplot_mosaic(shape, height_ratios=(3, 2))
     lift = panels["lift"]
     left, right, low, high = WINDOW_D
