@@ -32,7 +32,7 @@ ARMS: dict[str, tuple[Any, ...]] = {
 TAUGHT = (0.4, 0.45, 0.5)  # L/T
 #: Speeds, and the indices of those that are swum in.
 STREAMS = {"taught": (TAUGHT, (0, 1, 2)), "new": ((0.42, 0.45, 0.48), (0, 2))}
-SEEDS, EPISODES, PERIODS = (0, 1, 2, 3), 24, 40
+SEEDS, EPISODES, PERIODS = (0, 1, 2, 3, 4), 24, 40
 
 
 def run(arm: str, seed: int) -> dict[str, Any]:
