@@ -65,7 +65,7 @@ def check_drift_sweep() -> None:
 
 
 def check_following() -> None:
-    """Learned followers save work only behind the leader, with a sharp skin less than by hand."""
+    """Learned followers save work behind the leader alone, with a sharp skin less than by hand."""
     relative = "relative to `keep_place` alone"
     for skin in ("followers", "immersed"):
         rows = read("following", skin, "policy")
@@ -78,6 +78,7 @@ def check_following() -> None:
             )
         )
         assert behind[1] < 1 < alone[1]
+        assert (alone[0] > 1) == (skin == "immersed")
         assert (by_hand[1] < behind[0]) == (skin == "followers")
 
 

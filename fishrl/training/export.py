@@ -75,13 +75,19 @@ def export_policy(
     if summary:
         write_json(folder / source.summary.name, summary)
     if source.metrics.is_file() and (rows := read_rows(source.metrics)):
-        write_csv(folder / source.metrics.name, list(rows[0]), (list(row.values()) for row in rows))
+        short = ([_shorten(value) for value in row.values()] for row in rows)
+        write_csv(folder / source.metrics.name, list(rows[0]), short)
     write_sums(folder)
     card = _write_card(
         plan, summary, title=title or folder.name, frames=metadata["frames"], revision=revision
     )
     write_whole(folder / "README.md", card)
     return folder
+
+
+def _shorten(cell: str) -> str:
+    """Write a number of the learning curve to seven digits, those of single precision."""
+    return f"{float(cell):.7g}" if "." in cell else cell
 
 
 def _write_card(

@@ -132,8 +132,10 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
         """Return a picture of the flow ``[height, width, 3]``, uint8.
 
         Raises:
-            ValueError: without ``render_mode="rgb_array"``.
+            ValueError: without ``render_mode="rgb_array"``, and before the first reset.
         """
+        if not hasattr(self, "_state"):
+            raise ValueError("render: reset() first")
         return self._pictures.paint()[0]
 
     def close(self) -> None:

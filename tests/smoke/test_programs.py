@@ -169,7 +169,7 @@ def test_learned_policy_is_shown_and_exported(predation_run: Path, tmp_path: Pat
 @pytest.mark.usefixtures("kinematic")
 def test_transfer_writes_its_tables(gait_run: Path, tmp_path: Path) -> None:
     given = [f"runs=[{gait_run}]", "baselines=[pid]", "episodes=1", "periods=0.2"]
-    _run("transfer", *given, f"folder={tmp_path}")
+    _run("transfer", *given, EAGER[1], f"folder={tmp_path}")
     assert (tmp_path / "transfer.md").is_file()
 
 

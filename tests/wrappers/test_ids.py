@@ -72,6 +72,8 @@ def test_several_fish_pass_pettingzoos_own_test(action: str) -> None:
 def test_pictures_of_several_fish_change_as_they_swim() -> None:
     flow = make_env(task=PredationPair(**SMALL, time_limit=3), num_envs=1, compile=False)
     env = FlowParallelEnv(flow, render_mode="rgb_array")
+    with pytest.raises(ValueError, match=r"reset\(\) first"):
+        env.render()
     env.reset(seed=1)
     first = env.render()
     env.step({"fish_0": 1, "fish_1": 1})
