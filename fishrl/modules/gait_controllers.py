@@ -127,7 +127,8 @@ class GaitPolicy(TensorDictModuleBase):
 
     Args:
         controller: commands the frequency.
-        course: commands the bend where actions have one; None where they have not.
+        course: commands the bend where actions have one, as ``KeepCourse`` does; None where they
+            have not.
         rows: available frequencies, rising, one row per flow; one row with ``is_direct``, whose
             ends are the range of a continuous action.
         is_direct: actions are indices into the only row; otherwise decelerate (0), cruise (1) or
@@ -140,7 +141,7 @@ class GaitPolicy(TensorDictModuleBase):
         self,
         *,
         controller: FrequencyController,
-        course: KeepCourse | None = None,
+        course: Callable[[TensorDictBase], Tensor] | None = None,
         rows: Sequence[Sequence[float]],
         is_direct: bool = False,
         is_continuous: bool = False,
