@@ -17,7 +17,7 @@ def find_policy(name: str) -> Path:
     """Return the folder of a policy, which is a checkpoint.
 
     Args:
-        name: such as ``predation_small`` or ``zoo/predation_small``.
+        name: such as ``gait_sharp`` or ``zoo/gait_sharp``.
 
     Raises:
         ValueError: if there is none of that name.

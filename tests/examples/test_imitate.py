@@ -64,6 +64,6 @@ def test_first_layer_takes_over_the_scaling() -> None:
 
 def test_a_teacher_of_another_task_is_refused() -> None:
     with pytest.raises(
-        ValueError, match=r"teacher = predation_small: give one .* such as gait_bend"
+        ValueError, match=r"teacher = predation_sharp: give one .* such as gait_bend"
     ):
-        Lesson("predation_small", ("place",), Budget())
+        Lesson("predation_sharp", ("place",), Budget())

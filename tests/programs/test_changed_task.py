@@ -104,7 +104,7 @@ def test_a_task_that_the_policy_does_not_fit_is_refused(
 
 def test_a_learned_policy_swims_in_a_changed_task(tmp_path: Path) -> None:
     saved = tmp_path / "result.json"
-    arguments = ["checkpoint=zoo/gait_small_ablation", "episodes=2", "compile=false"]
+    arguments = ["checkpoint=zoo/gait_bend", "episodes=2", "compile=false"]
     arguments += ["task.stream.has_disc=false", "task.time_limit=1", f"save={saved}"]
     evaluate.main(arguments)
     result = json.loads(saved.read_text())

@@ -110,4 +110,4 @@ def test_a_hub_that_does_not_answer_is_an_error_in_one_line(
         port = closed.getsockname()[1]
     monkeypatch.setattr("huggingface_hub.constants.ENDPOINT", f"http://127.0.0.1:{port}")
     with pytest.raises(OSError, match=r"^upload = me/fish: .*refused$"):
-        upload(find_policy("predation_small"), "me/fish")
+        upload(find_policy("predation_sharp"), "me/fish")

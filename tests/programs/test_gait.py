@@ -113,7 +113,7 @@ def test_a_run_with_a_lateral_line_goes_on_exactly(trained: Path, tmp_path: Path
 
 
 def test_a_policy_of_predation_becomes_a_heading_controller(tmp_path: Path) -> None:
-    path, policy = tmp_path / "steering.pt", load_policy("zoo/predation_small")
+    path, policy = tmp_path / "steering.pt", load_policy("zoo/predation_sharp")
     layers = [module for module in policy.modules() if isinstance(module, nn.Linear)]
     save_weights([(layer.weight, layer.bias) for layer in layers], path)
     steering = PolicySteering(path=str(path))

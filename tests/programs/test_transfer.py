@@ -34,7 +34,7 @@ def test_policies_of_one_name_or_of_different_tasks_are_refused(tmp_path: Path) 
 
 def test_runs_bring_their_own_task(tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="the runs bring their own"):
-        program.main(["runs=[zoo/gait_small]", "task.reynolds=900", f"folder={tmp_path}"])
+        program.main(["runs=[zoo/gait_sharp]", "task.reynolds=900", f"folder={tmp_path}"])
 
 
 def test_work_is_compared_with_a_free_stream_held_without_a_disc(tmp_path: Path) -> None:

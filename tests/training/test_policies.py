@@ -37,7 +37,7 @@ def test_evaluate_reproduces_the_final_evaluation_of_a_run(toy: Toy, algorithm: 
 def test_flows_are_labelled_as_in_the_run_unless_another_source_is_named(
     is_task_given: bool,
 ) -> None:
-    run, labelled_by = find_policy("gait_small"), list[set[type]]()
+    run, labelled_by = find_policy("gait_sharp"), list[set[type]]()
 
     class Labels(Callback):
         def on_begin(self, env: Any) -> None:
