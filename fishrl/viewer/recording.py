@@ -3,7 +3,7 @@
 A frame carries the action in force and its reward, which is known only at the decision's end.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -63,6 +63,34 @@ def read_values(base: FlowEnv, scene: Scene) -> dict[str, Tensor]:
     return {key: value for key, value in values.items() if key not in hidden}
 
 
+def list_reasons(base: FlowEnv) -> list[str]:
+    """Return for each row in what words its episode ends, if the task ends it now; or nothing."""
+    task = base.task
+    ways = find_extension(task, HasScene).name_endings(task.measure(base.solver, base.start))
+    rows = range(base.batch_size[0])
+    return [next((words for words, is_so in ways.items() if is_so[row].any()), "") for row in rows]
+
+
+def list_endings(
+    after: TensorDictBase, task: AbstractTask, reasons: Sequence[str]
+) -> list[Ending | None]:
+    """Return how each row's episode ended with this decision, None where it goes on.
+
+    ``after`` ``[B]`` is the state at its end, ``reasons`` are those of ``list_reasons``.
+    """
+    is_success, endings = has_succeeded(after, task.success), list[Ending | None]()
+    for row, reason in enumerate(reasons):
+        has_won = bool(is_success[row].any())
+        words = "lasted to the time limit" if has_won else "time is over"
+        if after["terminated"][row].any():
+            words = reason or ("success" if has_won else "ended by the task")
+        if after["diverged"][row].any():
+            words = "the flow diverged"
+        is_over = bool(after["done"][row].any())
+        endings.append(Ending(words=words, is_success=has_won) if is_over else None)
+    return endings
+
+
 class Recorder:
     """Reads about ``frames_per_T`` frames per period of some rows of an env.
 
@@ -88,7 +116,7 @@ class Recorder:
         self._pending: dict[int, list[Frame]] = {}
         self._last_T: dict[int, float] = {}
         self._has_given: dict[int, bool] = {}
-        self._words: dict[int, str] = {}  # of the end, should the episode end here
+        self._reasons = [""] * base.batch_size[0]  # of the end, should the episodes end here
 
     def begin(self, rows: Collection[int]) -> None:
         """Begin an episode in some rows; frames of theirs that are pending are dropped."""
@@ -105,10 +133,7 @@ class Recorder:
         if not rows:
             return
         values, solver = read_values(self._base, self._scene), self._base.solver
-        task = self._base.task
-        endings = find_extension(task, HasScene).name_endings(
-            task.measure(solver, self._base.start)
-        )
+        reasons = list_reasons(self._base)
         ages, period = solver.body.age.tolist(), self._base.task.scales.period
         for row in rows:
             time, last = ages[row] / period, self._last_T[row]
@@ -120,8 +145,7 @@ class Recorder:
                 )
                 self._pending[row].append(frame)
                 self._last_T[row] = time
-                ways = (words for words, is_so in endings.items() if is_so[row].any())
-                self._words[row] = next(ways, "")
+                self._reasons[row] = reasons[row]
 
     def settle(self, step: TensorDictBase, rows: Collection[int]) -> None:
         """Give the frames of a decision that is over, with its action and reward.
@@ -132,24 +156,15 @@ class Recorder:
         after = step["next"]
         read = {name: read_entry(step, name) for name in self._scene.output_keys}
         read["reward"] = read_entry(after, "reward")
-        is_success = has_succeeded(after, self._base.task.success)
+        endings = list_endings(after, self._base.task, self._reasons)
         for row in rows:
             outputs = {name: value[row].cpu() for name, value in read.items() if value is not None}
             outputs["reward"] = outputs["reward"].sum(-1)
             frames, self._pending[row] = self._pending[row], []
-            has_diverged = bool(after["diverged"][row].any())
-            if has_diverged:
+            if after["diverged"][row].any():
                 frames = [] if self._has_given[row] else frames[:1]
-            ending = None
-            if after["done"][row].any():
-                has_won = bool(is_success[row].any())
-                words = "lasted to the time limit" if has_won else "time is over"
-                if after["terminated"][row].any():
-                    words = self._words[row] or ("success" if has_won else "ended by the task")
-                words = "the flow diverged" if has_diverged else words
-                ending = Ending(words=words, is_success=has_won)
             for number, frame in enumerate(frames, 1):
-                last = ending if number == len(frames) else None
+                last = endings[row] if number == len(frames) else None
                 values = {**outputs, **frame.values}
                 self._give(row, replace(frame, values=values, ending=last))
                 self._has_given[row] = True

@@ -90,7 +90,7 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
         if seed is not None:
             self.env.set_seed(int(seed), static_seed=True)
         self.agents = list(self.possible_agents)
-        self._pictures.is_new[:] = True
+        self._pictures.begin(np.ones(1, dtype=np.bool_))
         self._state: TensorDictBase = self.env.reset()
         return self._observe(), self._tell()
 
@@ -121,6 +121,7 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
         state[AGENTS, "action"] = chosen[None]
         after = self.env.step(state)["next"]
         self._state = after
+        self._pictures.tell_endings(after)
         rewards = after[AGENTS, "reward"][0, :, 0].tolist()
         ends = [bool(after[name].any()) for name in ("terminated", "truncated")]
         agents, self.agents = self.agents, [] if any(ends) else self.agents

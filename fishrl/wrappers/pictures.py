@@ -3,12 +3,13 @@
 from typing import Any
 
 import numpy as np
+from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
-from fishrl.envs.scene import Frame
+from fishrl.envs.scene import Ending, Frame
 from fishrl.viewer import make_scene
 from fishrl.viewer.film import FramePainter
-from fishrl.viewer.recording import read_values
+from fishrl.viewer.recording import list_endings, list_reasons, read_values
 
 Array = np.ndarray[Any, Any]
 
@@ -32,6 +33,19 @@ class Pictures:
             FramePainter(self.scene, dpi=100.0) for _ in range(num if render_mode else 0)
         ]
         self.is_new = np.ones(num, dtype=np.bool_)  # an episode without a picture
+        self.endings: list[Ending | None] = [None] * num
+
+    def begin(self, rows: Array) -> None:
+        """Let new episodes begin in ``rows`` ``[B]`` bool."""
+        self.is_new |= rows
+        self.endings = [
+            None if new else ending for new, ending in zip(rows, self.endings, strict=True)
+        ]
+
+    def tell_endings(self, after: TensorDictBase) -> None:
+        """Let the next pictures say how episodes ended in the state ``after`` ``[B]``."""
+        if self.painters:
+            self.endings = list_endings(after, self.flows.task, list_reasons(self.flows))
 
     def paint(self) -> tuple[Array, ...]:
         """Return a picture ``[height, width, 3]``, uint8, of each flow.
@@ -48,6 +62,7 @@ class Pictures:
                 time=float(solver.body.age[row]) / period,
                 values={name: value[row].cpu() for name, value in values.items()},
                 begins=bool(self.is_new[row]),
+                ending=self.endings[row],
             )
             for row in range(len(self.painters))
         ]

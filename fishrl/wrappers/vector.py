@@ -120,7 +120,8 @@ class FlowVectorEnv(VectorEnv):
             raise ValueError(f"options = {unknown}: there is only 'reset_mask'")
         if not options:
             self._state = self.env.reset()
-            self._is_over[:], self._pictures.is_new[:] = False, True
+            self._is_over[:] = False
+            self._pictures.begin(np.ones(self.num_envs, dtype=np.bool_))
         else:
             rows = _read("reset_mask", options["reset_mask"], (self.num_envs,), np.bool_)
             self._state = self._reset_rows(self._need_state(), rows)
@@ -145,6 +146,7 @@ class FlowVectorEnv(VectorEnv):
                 "reset(options={'reset_mask': terminations | truncations}) first"
             )
         after = self._advance(state, self._read_actions(actions), waiting)
+        self._pictures.tell_endings(after)
         reward, terminated, truncated = (
             np.where(waiting, 0, _row_wise(after[name])).astype(dtype)
             for name, dtype in (("reward", float), ("terminated", bool), ("truncated", bool))
@@ -211,7 +213,7 @@ class FlowVectorEnv(VectorEnv):
 
     def _reset_rows(self, state: TensorDictBase, rows: Array) -> TensorDictBase:
         """Return the state with new episodes in ``rows``."""
-        self._pictures.is_new |= rows
+        self._pictures.begin(rows)
         mask = torch.as_tensor(rows, device=self.env.device).unsqueeze(-1)
         fresh: TensorDictBase = self.env.reset(
             state.copy().set("_reset", mask), select_reset_only=1

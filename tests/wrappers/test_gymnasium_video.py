@@ -1,5 +1,7 @@
 """Pictures of flows for Gymnasium, as its ``RecordVideo`` takes them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,24 @@ def test_path_restarts_with_each_episode() -> None:
     (fresh, _), (after, other) = pictures
     assert np.array_equal(after, fresh)
     assert not np.array_equal(other, pictures[0][1])  # its episode and path continue
+
+
+@pytest.mark.usefixtures("kinematic")
+@pytest.mark.parametrize(("mode", "says"), [("NextStep", True), ("SameStep", False)])
+def test_the_last_picture_of_an_episode_says_how_it_ended(mode: str, says: bool) -> None:
+    task = replace(TASK, time_limit=2)
+    env = make_env(task=task, num_envs=2, compile=False)
+    envs = FlowVectorEnv(env, render_mode="rgb_array", autoreset_mode=mode)
+    envs.reset(seed=0)
+    words = []
+    for _ in range(4):
+        envs.step(np.array([1, 1]))
+        for _ in range(2):
+            envs.render()
+        words.append([painter._flow.ending.get_text() for painter in envs._pictures.painters])
+    envs.close()
+    end = "time is over" if says else ""
+    assert words == [["", ""], [end, end], ["", ""], ["", ""]]
 
 
 def test_render_needs_render_mode() -> None:
