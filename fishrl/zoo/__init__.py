@@ -5,12 +5,12 @@ Example::
     from fishrl.envs import make_env
     from fishrl.zoo import load_policy, load_recognition
 
-    policy, task = load_policy("predation_small")
-    recognition = load_recognition("predation_small")
+    policy, task = load_policy("gait_sharp")
+    recognition = load_recognition("gait_sharp")
     env = make_env(task=task, recognition=recognition, num_envs=3)
 
-Wherever a run folder or a checkpoint is accepted, ``zoo/predation_small`` names one of them, and
-the programs take ``policy=zoo/predation_small``. Each folder below this one was written by
+Wherever a run folder or a checkpoint is accepted, ``zoo/gait_sharp`` names one of them, and the
+programs take ``policy=zoo/gait_sharp``. Each folder below this one was written by
 ``fishrl export-policy``; its ``README.md`` says how the policy was trained and
 evaluated.
 """
@@ -34,7 +34,7 @@ def load_policy(name: str, *, device: str = "cpu") -> tuple[TensorDictModuleBase
     ``ExplorationType.DETERMINISTIC``, as in evaluations, it takes the most probable ones.
 
     Args:
-        name: such as ``predation_small``, one of ``list_policies()``.
+        name: such as ``gait_sharp``, one of ``list_policies()``.
         device: of the policy.
 
     Raises:

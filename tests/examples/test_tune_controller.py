@@ -67,7 +67,9 @@ def test_each_candidate_acts_in_its_own_flow(controller: Controller) -> None:
     assert 0 < decisions <= 2 * 2 * task.time_limit
 
 
-def test_search_keeps_its_budget_and_finds_a_better_controller(controller: Controller) -> None:
+@pytest.mark.parametrize("senses", ["sight", "lateral_line"])
+def test_search_keeps_its_budget_and_finds_a_better_controller(senses: str) -> None:
+    controller = CONTROLLERS[senses]
     task, untuned = make_task(), torch.zeros(6, len(controller.untuned))
     budget = Budget(decisions=1000, candidates=6, starts=2)
     numbers = tune(controller, task, budget, compile=False)
