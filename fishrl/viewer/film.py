@@ -150,6 +150,7 @@ class FlowAxes:
             circle.center = tuple(self._place(now, key))
         for key, name in self.names:
             name.xy = tuple(self._place(now, key))
+            name.set_visible(now.ending is None)  # a fish that has reached it would be covered
         for key, path in self.paths.items():
             path.set_data(*np.stack([self._place(frame, key) for frame in frames]).T)
         for arrow in self.arrows:

@@ -63,7 +63,10 @@ def test_the_last_picture_of_an_episode_says_how_it_ended(mode: str, says: bool)
         envs.step(np.array([1, 1]))
         for _ in range(2):
             envs.render()
-        words.append([painter._flow.ending.get_text() for painter in envs._pictures.painters])
+        flows = [painter._flow for painter in envs._pictures.painters]
+        words.append([flow.ending.get_text() for flow in flows])
+        for flow in flows:
+            assert [name.get_visible() for _, name in flow.names] == [not flow.ending.get_text()]
     envs.close()
     end = "time is over" if says else ""
     assert words == [["", ""], [end, end], ["", ""], ["", ""]]
