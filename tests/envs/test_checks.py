@@ -65,7 +65,7 @@ def test_invalid_return_value_is_named(member: str, gives: Any, said: str) -> No
 
 def test_missing_members_are_named() -> None:
     incomplete = type("Incomplete", (AbstractTask,), {"n_obs": 1, "num_draws": 1})
-    with pytest.raises(TypeError, match=r"abstract .*command.* num_actions"):
+    with pytest.raises(TypeError, match=r"abstract .*command.*num_actions"):
         incomplete(**BRIEF)
 
 
