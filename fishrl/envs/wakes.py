@@ -87,7 +87,7 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path) -> WakeBank:
             take_lock(file, waits=True, is_passed_on=True)
             if not path.is_file():  # else another process or thread has just developed them
                 num = len(recipe.speeds)
-                logger.info("developing %d wakes; they will be stored in %s", num, path)
+                logger.info("developing %d wake(s), once, for a few minutes: %s", num, path)
                 bank = develop_wakes(recipe)
                 with staged(path) as stage:
                     torch.save({name: getattr(bank, name) for name in names}, stage)

@@ -11,6 +11,7 @@ from pydantic import PositiveInt
 from fishrl.programs.live import LiveView
 from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
+from fishrl.programs.statistics import find_share, show
 from fishrl.settings import describe
 from fishrl.training import evaluate as run_evaluation
 from fishrl.training.callback import SILENT, Callback
@@ -61,7 +62,9 @@ def main(settings: EvaluateConfig) -> None:
     with Progress() as progress:
         result = evaluate(settings, progress=progress)
     for name, value in result.items():
-        shown = f"{value:.3f}" if isinstance(value, float) else value
+        shown = show(value, ".3f") if isinstance(value, float) else value
+        if name == "success_rate":
+            shown = find_share(round(value * result["episodes"]), result["episodes"]).show(".3f")
         print(f"{name:<24}{shown}")
     if path is not None:
         write_json(path, result | {"settings": describe(settings)})

@@ -59,7 +59,10 @@ class ViewConfig(PolicySettings, ViewerSettings):
         """Check both kinds of settings."""
         super().__post_init__()
         if self.recording is not None and (self.save or self.live):
-            raise ValueError("save and live: are for policies; a recording is only opened")
+            raise ValueError(
+                "save and live: are for policies; a recording is only opened. For the policy of a "
+                "run give checkpoint=<its folder>"
+            )
         endings = (".rrd", *FILMS)
         if self.save is not None and Path(self.save).suffix not in endings:
             raise ValueError(f"save = {self.save}: must end in one of {', '.join(endings)}")

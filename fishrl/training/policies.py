@@ -80,12 +80,12 @@ def prepare(
     if task is None:
         raise ValueError("evaluate: give a task, or the Path of a checkpoint, which brings its own")
     labels = load_recognition(None if recognition is ... else recognition)
+    if isinstance(policy, Path):  # first whether it fits the task, then whether its classifier does
+        learned = load_policy(policy, task=task, has_labels=labels is not None, device=device)
+        return equip(task, labels), labels, learned
     task = equip(task, labels)
     if isinstance(policy, str):
         return task, labels, make_baseline(policy, task=task, seed=seed)
-    if isinstance(policy, Path):
-        has_labels = labels is not None
-        return task, labels, load_policy(policy, task=task, has_labels=has_labels, device=device)
     return task, labels, policy
 
 

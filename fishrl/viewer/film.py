@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, FancyArrowPatch, Polygon
+from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle
 from numpy.typing import NDArray
 
 from fishrl.envs.scene import Arrow, Frame, Marks, Scene
@@ -91,6 +91,12 @@ class FlowAxes:
             trail.key: axes.plot([], [], color=FISH, linewidth=0.9, linestyle=(0, (4, 2)))[0]
             for trail in scene.trails
         }
+        for area in scene.areas:
+            (x0, y0), (x1, y1) = (np.array(corner) / length for corner in (area.low, area.high))
+            colour = [c / 255.0 for c in area.colour]
+            axes.add_patch(
+                Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=colour, lw=0.7, ls=":")
+            )
         self.bodies = {
             curve.key: Polygon(
                 np.zeros((3, 2)),

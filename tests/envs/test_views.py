@@ -136,3 +136,10 @@ def test_angle_of_attack_of_a_bending_fish_is_its_reported_heading() -> None:
     env = begin(Follower(**TINY))
     env.solver.body.internal_angle.fill_(0.05)
     torch.testing.assert_close(read(env)["angle_of_attack"], env.measure()["heading"].rad2deg())
+
+
+def test_only_a_fish_that_feels_its_lateral_line_shows_it() -> None:
+    for senses, shows in ((("place", "own_motion"), False), (("own_motion", "lateral_line"), True)):
+        scene = make_scene(KarmanGait(**GAIT, observes=senses))
+        assert [mark.key for mark in scene.marks] == ["neuromasts"] * shows
+        assert [area.key for area in scene.areas] != []

@@ -102,6 +102,11 @@ def test_a_task_that_the_policy_does_not_fit_is_refused(
     assert said in str(error.value)
 
 
+def test_a_policy_with_a_classifier_is_refused_for_its_task_first() -> None:
+    with pytest.raises(SystemExit, match="was trained with task = 'KarmanGait'"):
+        evaluate.main(["compile=false", "policy=zoo/gait_sharp", "preset=quick"])
+
+
 def test_a_learned_policy_swims_in_a_changed_task(tmp_path: Path) -> None:
     saved = tmp_path / "result.json"
     arguments = ["checkpoint=zoo/gait_bend", "episodes=2", "compile=false"]

@@ -67,3 +67,11 @@ def test_a_terminal_gets_a_bar_in_place_with_phase_counts_and_numbers() -> None:
         progress.on_progress(60, {"frames per s": 12.5, "captured": 0.75})
     for shown in ("training", "100/100", "frames per s 12.5", "captured 0.75"):
         assert shown in terminal.getvalue()
+
+
+def test_a_run_that_ends_some_frames_later_shows_their_number() -> None:
+    with Progress(stream=(log := io.StringIO())) as progress:
+        progress.on_phase("warm-up", total=200)
+        progress.on_progress(192)
+        progress.on_progress(16)
+    assert log.getvalue().splitlines()[-1].startswith("warm-up      100% 208/208")

@@ -269,7 +269,7 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
         }
 
     def add_to_scene(self, scene: Scene) -> Scene:
-        """Add the safe area, the nose's place in it, the lateral line and the flow label."""
+        """Add the safe area, the nose's place in it, the flow label and what the fish feels."""
         area = self.safe_area
         x_bl = (area.near_bl, area.far_bl)
         place = (
@@ -282,14 +282,15 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
         speed = Panel(
             name="stream speed [L/T]", series=(Series(key="stream", column=0, label="speed"),)
         )
+        feels = {"lateral_line", "water_velocity", "flow_label"} & set(self.observes)
         return scene.extend(
             areas=(self.frame("danger_area", x_bl=x_bl, aside_bl=area.aside_bl),),
-            marks=(neuromasts,),
+            marks=(neuromasts,) if feels else (),
             panels=(
                 *([speed] if self.stream.changes else []),
                 describe_flow_label([label["name"] for label in self.flow_labels]),
                 Panel(name="nose from the flat side [L]", series=place),
-                signals,
+                *([signals] if feels else []),
             ),
             note="The danger area is outside the rectangle with red strokes.",
         )

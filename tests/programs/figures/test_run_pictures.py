@@ -182,3 +182,13 @@ def test_points_are_painted_in_the_colours_of_their_values() -> None:
     assert 20 < dots.sum() < 0.01 * dots.size
     assert grass[dots][:, 1].mean() > grass[dots][:, 2].mean()
     assert purple[dots][:, 2].mean() > purple[dots][:, 1].mean()
+
+
+def test_a_film_shows_where_an_episode_ends() -> None:
+    scene, frame = scenes.make_scene(), scenes.make_frame(0)
+    shown, plain = (
+        film.FramePainter(each, dpi=100.0).paint(frame).astype(int)
+        for each in (scene, dataclasses.replace(scene, areas=()))
+    )
+    border = (shown != plain).any(-1)
+    assert 100 < border.sum() < 0.02 * border.size
