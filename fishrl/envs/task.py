@@ -87,8 +87,9 @@ class AbstractTask(Settings, ABC):
         least = 1.0 + travel
         if self.wall_margin < least:
             raise ValueError(
-                f"wall_margin_bl = {self.wall_margin_bl} is {self.wall_margin:.1f} nodes, but "
-                f"markers may move {travel:.1f} between two checks: raise it to at least "
+                f"wall_margin_bl = {self.wall_margin_bl} is {self.wall_margin:.1f} nodes, but must "
+                f"be 1 more than the {travel:.1f} that markers may move between two checks: raise "
+                "it to at least "
                 f"{ceil(1e3 * least / self.body_length) / 1e3:g}, or raise checks_per_action"
             )
 
