@@ -44,7 +44,8 @@ def find_links(outline: Tensor, width: int, height: int) -> Links:
     Neighbouring segments round their common corner alike, so no link is missed or found twice.
     Nodes are clamped to the grid, two nodes from its edges, for bodies that have left it.
     """
-    (xa, ya), (xb, yb) = outline.unbind(-1), outline.roll(-1, 1).unbind(-1)
+    after = torch.cat((outline[:, 1:], outline[:, :1]), 1)  # ``roll`` compiles for 4 s longer
+    (xa, ya), (xb, yb) = outline.unbind(-1), after.unbind(-1)
     level_a, level_b = (torch.stack((y, x, x - y, x + y), 1) for x, y in ((xa, ya), (xb, yb)))
     place_a, place_b = (torch.stack((x, y, x, x), 1) for x, y in ((xa, ya), (xb, yb)))
     floor_a, floor_b = level_a.floor(), level_b.floor()

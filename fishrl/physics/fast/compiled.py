@@ -128,6 +128,7 @@ def _identify_machine(device: torch.device) -> str:
 @contextmanager
 def _set_up_inductor(device: torch.device, patches: dict[str, object]) -> Iterator[Path]:
     """Apply settings, and yield a folder for this kind of machine, in which Inductor stores."""
+    from torch._inductor import cpu_vec_isa
     from torch._inductor.runtime.cache_dir_utils import cache_dir
 
     if device.type == "cpu":  # else a warning in each process where there is nvcc but no GPU
@@ -135,13 +136,32 @@ def _set_up_inductor(device: torch.device, patches: dict[str, object]) -> Iterat
     # a search, a tenth of the compilation on a CPU; combined kernels of a GPU fail without it
     search = {"reorder_for_peak_memory": device.type != "cpu"}
     with torch._inductor.config.patch(_list_settings() | search | patches):
-        before = cache_dir()
-        folder = Path(before, "fishrl", _identify_machine(device))
-        os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(folder)
+        before, list_all = cache_dir(), cpu_vec_isa.valid_vec_isa_list
+        if units := _list_vector_units():
+            cpu_vec_isa.valid_vec_isa_list = cache(lambda: units)
         try:
+            folder = Path(before, "fishrl", _identify_machine(device))
+            os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(folder)
             yield folder
         finally:
+            cpu_vec_isa.valid_vec_isa_list = list_all
             os.environ["TORCHINDUCTOR_CACHE_DIR"] = before
+
+
+@cache
+def _list_vector_units() -> list[Any]:
+    """Return the vector units for floats that the processor's flags name; none but of x86.
+
+    Inductor would compile and run three programs to find out about other types.
+    """
+    from torch._inductor.cpu_vec_isa import VecAVX2, VecAVX512, x86_isa_checker
+
+    flags = x86_isa_checker()
+    units = [
+        type(unit.__name__, (unit,), {"__bool__": lambda _: True})()
+        for unit in (VecAVX512, VecAVX2)
+    ]
+    return [unit for unit in units if all(flag in flags for flag in str(unit).split())]
 
 
 def _make_twin(t: Tensor) -> Tensor:
@@ -181,6 +201,7 @@ def compile_inplace(
     *,
     name: str | None = None,
     num_varying: int = 0,
+    waits: bool = True,
     **patches: object,
 ) -> InPlaceFunction:
     """Compile ``function(*tensors)``, which may mutate its arguments; itself without a compiler.
@@ -194,10 +215,12 @@ def compile_inplace(
         name: key of everything that determines the function, apart from this package's sources and
             ``example``. The result is stored under it next to Inductor's cache, and other processes
             load it without tracing, or wait for it. None stores nothing.
+        waits: for another process that compiles the same.
         **patches: Inductor settings.
 
     Raises:
         ChildProcessError: if the compiler fails.
+        BlockingIOError: without ``waits``, while another process compiles the same.
     """
     device = example[0].device
     if find_compiler_problem(device.type):
@@ -206,7 +229,7 @@ def compile_inplace(
         if name is None:
             return _reach_code(_compile(function, example, num_varying))
         path = folder / f"{_make_name(name, example, num_varying)}.bin"
-        with _claim(path):
+        with _claim(path, waits=waits):
             if (compiled := _load(path)) is None:
                 compiled = _compile(function, example, num_varying)
                 _save(path, compiled)
@@ -224,8 +247,8 @@ def is_stored(
 
 
 @contextmanager
-def _claim(path: Path) -> Iterator[None]:
-    """Wait until no other process makes what belongs at ``path``."""
+def _claim(path: Path, *, waits: bool) -> Iterator[None]:
+    """Keep other processes from making what belongs at ``path``; wait, or fail, while one does."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock = path.with_suffix(".lock").open("a")
@@ -233,7 +256,8 @@ def _claim(path: Path) -> Iterator[None]:
         yield
         return
     with lock:
-        take_lock(lock, waits=True)
+        if not take_lock(lock, waits=waits):
+            raise BlockingIOError(f"another process makes {path}")
         yield
 
 

@@ -82,19 +82,27 @@ class Execution:
             return
         began = time.perf_counter()
         logger.info("compiling the flow step (up to a minute when new) ...")
-        self._run_children()
-        if self._wants_compile:  # only now: killed meanwhile, this process would leave its compiler
-            with self._limit_threads():
-                if not self.num_workers:
-                    self.batch.stepper.compile(self.batch.first)
-                self.batch.stepper.compile_check(self.batch.first)
-        self._is_ready = True
+        workers = self._start_children()
+        try:
+            if self._wants_compile:
+                self._compile_own()
+            if workers is not None:
+                if self.num_workers:
+                    workers.wait()
+                workers.end_helpers()
+        except BaseException:  # as by Ctrl-C: the next time begins anew
+            if workers is not None:
+                workers.close()
+            raise
+        self.workers, self._is_ready = workers, True
+        if self._shared is not None:
+            self._shared.close()
         logger.info("flow step ready after %.1f s", time.perf_counter() - began)
 
-    def _run_children(self) -> None:
-        """Start the workers, and processes that compile what is new; wait until all is compiled."""
-        if self._shared is None or self.workers is not None:
-            return
+    def _start_children(self) -> Workers | None:
+        """Start the workers, and a process that helps to compile what is new."""
+        if self._shared is None:
+            return None
         workers = Workers(
             self._configs,
             group_size=self.group_size,
@@ -102,25 +110,28 @@ class Execution:
             count=self.num_workers,
             compile=self._wants_compile,
         )
-        try:
-            workers.add_helpers(self._count_helpers())
-            workers.wait()
-        except BaseException:  # as by Ctrl-C: the next time begins anew
-            workers.close()
-            raise
-        workers.end_helpers()
-        self._shared.close()
-        self.workers = workers
+        workers.add_helpers(self._count_helpers())
+        return workers
+
+    def _compile_own(self) -> None:
+        """Compile what this process runs itself: with workers the check alone."""
+        stepper, first = self.batch.stepper, self.batch.first
+        with self._limit_threads():
+            if self.num_workers:
+                stepper.compile_check(first)
+            else:
+                stepper.compile(first, with_check=True)
 
     def _count_helpers(self) -> int:
-        """Return how many more processes shall compile: on idle cores, and only what is new."""
+        """Return how many more processes shall compile: on an idle core, and only what is new."""
         if not self._wants_compile:
             return 0
         with one_thread():  # on which code depends: as in the workers
-            if not self.batch.stepper.is_new(self.batch.first):
+            with_check = not self.num_workers
+            if not self.batch.stepper.is_new(self.batch.first, with_check=with_check):
                 return 0
-        num_idle = count_cores() - (count_running() - 1)  # workers run already; this process waits
-        return min(max(num_idle, 0), 1) if self.num_workers else min(max(num_idle, 1), 2)
+        num_busy = count_running() - bool(self.num_workers)  # then this process waits
+        return min(max(count_cores() - num_busy, 0), 1)
 
     def _limit_threads(self) -> AbstractContextManager[None]:
         """Return a context in which flows that need one worker run here as they would there."""

@@ -64,13 +64,26 @@ class Part:
         known = _find_known(self._act)
         return f"{self.name} {known} {self._form}" if is_own(known) else None
 
-    def compile(self, example: Sequence[Tensor]) -> None:
-        """Compile ``run``, and keep the code on disk if the part has a key."""
-        if self._settings is not None:
-            settings = self._settings.get(example[0].device.type, {})
+    def compile(self, example: Sequence[Tensor], *, waits: bool = True) -> bool:
+        """Compile ``run``, and keep the code on disk if the part has a key.
+
+        Returns False, without ``waits``, while another process compiles it.
+        """
+        if self._settings is None:
+            return True
+        settings = self._settings.get(example[0].device.type, {})
+        try:
             self.run = compile_inplace(
-                self._act_on, example, name=self.key, num_varying=self._num_varying, **settings
+                self._act_on,
+                example,
+                name=self.key,
+                num_varying=self._num_varying,
+                waits=waits,
+                **settings,
             )
+        except BlockingIOError:
+            return False
+        return True
 
     def is_to_be_stored(self, example: Sequence[Tensor]) -> bool:
         """Return whether ``compile`` would put new code on the disk."""

@@ -63,29 +63,31 @@ class Stepper:
         self._is_fine = torch.zeros(layout.num_envs, dtype=torch.bool, device=device)
         self.check = make_check(config, self._is_fine)
 
-    def list_all(self) -> list[Part]:
-        """Return all parts: those of a step, the check, and the one that locates still bodies."""
+    def list_all(self, *, with_check: bool = True) -> list[Part]:
+        """Return all parts: those of a step, the one that locates still bodies, the check."""
         located = [self.locate] if self.locate and self.locate not in self.parts else []
-        return [*self.parts, self.check, *located]
+        return [*self.parts, *located, *([self.check] if with_check else ())]
 
-    def compile(self, example: FlowGroup, *, share: float = 0.0) -> None:
-        """Compile all but the check, for groups of the form of ``example``.
+    def compile(self, example: FlowGroup, *, with_check: bool, waits: bool = True) -> None:
+        """Compile all parts, for groups of the form of ``example``.
 
-        Processes that begin at different shares of the list, 0 to 1, load each other's results.
+        Processes share the work: what another one compiles is loaded in the end, or not at all
+        without ``waits``. Only one that reads the flows needs the check.
         """
-        parts = self.list_all()
-        first = int(share * len(parts))
-        for part in parts[first:] + parts[:first]:
-            if part is not self.check:
-                part.compile(example.arguments[part][0])
+        collision, *rest = self.list_all(with_check=with_check)
+        parts = [*rest, collision]  # the longest are not the last, so that processes end together
+        tensors = {part: example.arguments[part][0] for part in parts}
+        left = [part for part in parts if not part.compile(tensors[part], waits=False)]
+        for part in left if waits else ():
+            part.compile(tensors[part])
 
-    def is_new(self, example: FlowGroup) -> bool:
+    def is_new(self, example: FlowGroup, *, with_check: bool) -> bool:
         """Return whether ``compile`` would put new code on the disk."""
-        parts = (part for part in self.list_all() if part is not self.check)
+        parts = self.list_all(with_check=with_check)
         return any(part.is_to_be_stored(example.arguments[part][0]) for part in parts)
 
     def compile_check(self, example: FlowGroup) -> None:
-        """Compile the check, which only the process that reads the flows needs."""
+        """Compile the check alone, for a process that reads flows which others advance."""
         self.check.compile(example.arguments[self.check][0])
 
     def is_fine(self, group: FlowGroup) -> Tensor:

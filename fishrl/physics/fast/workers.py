@@ -74,9 +74,9 @@ class Workers:
         self._count, self._file, self._compile = count, file, compile
         self._batch = configs, group_size
         for first in range(count):
-            self._start(range(first, len(configs) // group_size, count), share=first / count)
+            self._start(range(first, len(configs) // group_size, count))
 
-    def _start(self, groups: range, *, share: float) -> None:
+    def _start(self, groups: range | None) -> None:
         process = start_child(
             "from fishrl.physics.fast.workers import serve; serve()",
             env=os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
@@ -84,13 +84,13 @@ class Workers:
             pass_fds=[self._file],
         )
         self._processes.append(process)
-        _send(process.stdin, (*self._batch, groups, self._file, self._compile, share))
+        is_alone = not self._count  # the process that is helped: it advances flows and reads them
+        _send(process.stdin, (*self._batch, groups, self._file, self._compile, is_alone))
 
     def add_helpers(self, count: int) -> None:
         """Start processes that only compile, until ``end_helpers``."""
-        between = 0.5 if self._count else 0.0  # where workers begin
-        for first in range(count):
-            self._start(range(1), share=(first + between) / max(count, self._count))
+        for _ in range(count):
+            self._start(None)
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
         """Advance the flows of ``groups``, and wait for the workers."""
@@ -153,18 +153,19 @@ def serve() -> None:
     os.dup2(2, 1)  # nothing but answers may go to the pipe
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
-    configs, group_size, groups, file, compile, share = pickle.load(requests)
+    configs, group_size, groups, file, compile, with_check = pickle.load(requests)
     logging.basicConfig(level=logging.WARNING)
     batch = FlowBatch(
         configs,
         group_size=group_size,
         device=torch.device("cpu"),
         allocate=partial(map_shared, file),
-        groups=groups,
+        groups=range(1) if groups is None else groups,
     )
     try:
         if compile:
-            batch.stepper.compile(batch.first, share=share)
+            helps = groups is None
+            batch.stepper.compile(batch.first, with_check=with_check, waits=not helps)
     except OSError as error:  # of the compiler
         _send(answers, str(error))
         return

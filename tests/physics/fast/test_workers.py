@@ -120,7 +120,7 @@ def test_a_single_flow_advances_here_on_one_thread_and_only_new_code_starts_proc
         counts.append(len(started))
         stored.append(len(list(tmp_path.glob("fishrl/*/*.bin"))))
     assert torch.get_num_threads() == 2
-    assert counts[0] == counts[1] in (1, 2)
+    assert counts[0] == counts[1] <= 1
     assert stored == [len(solver._execution.batch.stepper.list_all())] * 2  # none for two threads
 
 
