@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             shutil.copy(ZOO / name / "film.mp4", stage)
         sys.stdout.write(f"{film}: recorded film of zoo/{name}\n")
     name, title = next(iter(SHOWS.items()))
-    sys.stdout.write(f"now zoo/{name} in a flow computed here and compiled first: 1 to 2 min\n")
+    sys.stdout.write(f"now zoo/{name} in a flow computed here, compiled first: about a minute\n")
     sys.stdout.flush()
     save = f"{folder / title}.mp4".replace("'", r"\'")
     child = start_child(

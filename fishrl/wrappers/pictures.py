@@ -42,10 +42,10 @@ class Pictures:
             None if new else ending for new, ending in zip(rows, self.endings, strict=True)
         ]
 
-    def tell_endings(self, after: TensorDictBase) -> None:
-        """Let the next pictures say how episodes ended in the state ``after`` ``[B]``."""
-        if self.painters:
-            self.endings = list_endings(after, self.flows.task, list_reasons(self.flows))
+    def tell_endings(self, after: TensorDictBase) -> list[Ending | None]:
+        """Return how episodes ended in the state ``after`` ``[B]``; the next pictures say so."""
+        self.endings = list_endings(after, self.flows.task, list_reasons(self.flows))
+        return self.endings
 
     def paint(self) -> tuple[Array, ...]:
         """Return a picture ``[height, width, 3]``, uint8, of each flow.

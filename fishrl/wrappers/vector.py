@@ -34,7 +34,8 @@ class FlowVectorEnv(VectorEnv):
     task has continuous ones. ``infos`` holds ``action_mask`` ``[B, num_actions]`` (int8, for
     ``Discrete.sample``) of discrete actions and all other entries of environment and task, such as
     ``captured``, ``diverged``, ``step_count`` and ``episode_reward``, each with a ``_``-prefixed
-    array of the rows that have it. A row whose flow diverges is truncated with reward 0.
+    array of the rows that have it; ``ending`` says in words how episodes ended in this step, such
+    as "caught". A row whose flow diverges is truncated with reward 0.
 
     ``autoreset_mode`` is one of Gymnasium's three:
 
@@ -146,16 +147,21 @@ class FlowVectorEnv(VectorEnv):
                 "reset(options={'reset_mask': terminations | truncations}) first"
             )
         after = self._advance(state, self._read_actions(actions), waiting)
-        self._pictures.tell_endings(after)
+        endings = self._pictures.tell_endings(after)
         reward, terminated, truncated = (
             np.where(waiting, 0, _row_wise(after[name])).astype(dtype)
             for name, dtype in (("reward", float), ("terminated", bool), ("truncated", bool))
         )
         is_over = terminated | truncated
         infos: dict[str, Any] = {}
+        if is_over.any():
+            words = np.full(self.num_envs, None, dtype=object)
+            for row in is_over.nonzero()[0]:
+                words[row] = endings[row].words
+            infos = _with_rows({"ending": words}, is_over)
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             if is_over.any():
-                infos = self._tell_ends(after, is_over)
+                infos |= self._tell_ends(after, is_over)
                 after = self._reset_rows(after, is_over)
         else:
             if waiting.any():

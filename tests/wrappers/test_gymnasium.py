@@ -140,6 +140,7 @@ def test_same_step_autoreset_returns_final_observation() -> None:
     assert truncations.tolist() == [True, True]
     assert infos["_final_obs"].tolist() == infos["_final_info"].tolist() == [True, True]
     assert infos["final_info"]["diverged"].tolist() == [True, False]
+    assert infos["ending"].tolist() == ["the flow diverged", "time is over"]
     assert infos["final_info"]["step_count"].tolist() == [LIMIT, LIMIT]
     assert infos["step_count"].tolist() == [0, 0]
     assert np.isfinite(observations).all()
@@ -150,8 +151,9 @@ def test_disabled_autoreset_needs_a_reset_mask() -> None:
     envs = make("Disabled", num_envs=3)
     envs.reset(seed=0)
     envs.flows.solver.body.position[1] = torch.nan
-    observations, _, _, truncations, _ = envs.step(keep(3))
-    assert truncations.tolist() == [False, True, False]
+    observations, _, _, truncations, infos = envs.step(keep(3))
+    assert truncations.tolist() == infos["_ending"].tolist() == [False, True, False]
+    assert infos["ending"].tolist() == [None, "the flow diverged", None]
     with pytest.raises(ValueError, match=r"rows \[1\] are over: call reset\(options="):
         envs.step(keep(3))
     fresh, infos = envs.reset(options={"reset_mask": truncations})
