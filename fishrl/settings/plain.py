@@ -49,7 +49,7 @@ def to_plain(value: Any) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, Enum):
-        return value.name
+        return _spell(value.name)
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, list | tuple):
@@ -185,9 +185,9 @@ class _Builder:
         """Return the member of a name, in upper or lower case, with hyphens or underscores."""
         members, name = kind.__members__, word.upper().replace("-", "_")
         if name not in members:
-            allowed = ", ".join(members)
-            hint = suggest(name, members)
-            self.errors.append(f"{path} = {word!r}: must be one of {allowed}{hint}")
+            allowed = [*map(_spell, members)]
+            hint = suggest(_spell(name), allowed)
+            self.errors.append(f"{path} = {word!r}: must be one of {', '.join(allowed)}{hint}")
         return members.get(name)
 
     def _learn_keys(self, kind: type, prefix: str) -> None:
@@ -196,6 +196,11 @@ class _Builder:
             self.known.append(f"{prefix}{entry.name}")
             if isinstance(entry.default, Settings):
                 self._learn_keys(type(entry.default), f"{prefix}{entry.name}.")
+
+
+def _spell(name: str) -> str:
+    """Return the name of a member of an enumeration as users write it."""
+    return name.lower().replace("_", "-")
 
 
 def _call(kind: type, values: Mapping[str, Any]) -> Any:
