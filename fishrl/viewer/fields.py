@@ -77,21 +77,26 @@ def make_dataset(
     values = {name: value.numpy()[is_new] for name, value in series.items()}
     _, height, width = values["u"].shape
     axes = {
-        "time": ("time", values.pop("time"), {"units": "T", "axis": "T"}),
-        "y": ("y", np.arange(height) / body_length, {"units": "L", "axis": "Y"}),
-        "x": ("x", np.arange(width) / body_length, {"units": "L", "axis": "X"}),
+        "time": ("time", values.pop("time"), _describe("time", "T")),
+        "y": ("y", np.arange(height) / body_length, _describe("y", "L") | {"axis": "Y"}),
+        "x": ("x", np.arange(width) / body_length, _describe("x", "L") | {"axis": "X"}),
     }
     fields = {
-        name: (("time", "y", "x"), values.pop(name), {"units": unit, "long_name": text})
+        name: (("time", "y", "x"), values.pop(name), _describe(text, unit))
         for name, (unit, text) in FIELDS.items()
     }
-    words = {"units": "L", "long_name": "closed outline of a body, (x, y)"}
+    words = _describe("closed outline of a body, (x, y)", "L")
     outlines = {
         name: (("time", name.replace("outline", "marker"), "component"), value, words)
         for name, value in values.items()
     }
-    attributes = {"nodes_per_L": body_length, **(about or {})}
+    attributes = {"Conventions": "CF-1.11", "nodes_per_L": body_length, **(about or {})}
     return xr.Dataset({**fields, **outlines}, coords=axes, attrs=attributes)
+
+
+def _describe(text: str, unit: str) -> dict[str, str]:
+    """Return attributes of a number without dimension; CF takes L for litres and T for teslas."""
+    return {"units": "1", "long_name": f"{text}, in {unit}"}
 
 
 def write_netcdf(flow: xr.Dataset, path: Path | str) -> None:

@@ -51,7 +51,9 @@ def test_xarray_reads_netcdf_and_zarr(flow: xr.Dataset, tmp_path: Path) -> None:
         xr.open_zarr(tmp_path / "flow.zarr").load(),
     ):
         xr.testing.assert_identical(read, flow)
-        assert read["u"].attrs["units"] == "L/T"
+        assert read.attrs["Conventions"] == "CF-1.11"
+        assert {part.attrs["units"] for part in read.variables.values()} == {"1"}
+        assert read["u"].attrs["long_name"] == "velocity along x, in L/T"
         task = json.loads(read.attrs["task"])
         assert read.attrs["nodes_per_L"] == task["body_length"] == 16
         assert read.attrs["reynolds"] == task["reynolds"]
