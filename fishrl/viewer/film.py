@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
+from operator import methodcaller
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -237,6 +239,15 @@ class FramePainter:
             self._canvas = FigureCanvasAgg(figure)
             self._canvas.draw()
             figure.set_layout_engine("none")
+            axes = self._flow.image.axes
+            changing = (axes.images, axes.lines, axes.patches, axes.collections, axes.texts)
+            self._changing = sorted(
+                (*chain(*changing), *axes.spines.values()), key=methodcaller("get_zorder")
+            )
+            for artist in self._changing:  # all but axes, titles and colour bar
+                artist.set_animated(True)
+            self._canvas.draw()
+            self._rest = self._canvas.copy_from_bbox(figure.bbox)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -251,8 +262,10 @@ class FramePainter:
         self._flow.show([*self._path, frame])
         points = {key: frame.values[key].clone() for key in self._trails}
         self._path.append(replace(frame, values=points))
+        self._canvas.restore_region(self._rest)
         with mpl.rc_context(STYLE):
-            self._canvas.draw()
+            for artist in self._changing:
+                self._flow.image.axes.draw_artist(artist)
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
 

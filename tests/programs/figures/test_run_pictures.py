@@ -7,6 +7,7 @@ from math import pi
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 import torch
@@ -18,6 +19,7 @@ from fishrl.envs import Predation
 from fishrl.envs.scene import Curve as SceneCurve
 from fishrl.envs.scene import Ending, Frame
 from fishrl.envs.views import make_scene
+from fishrl.figure_style import STYLE
 from fishrl.programs.figures import learning_curve
 from fishrl.programs.figures.learning_curve import Curve, write_learning_curve
 from fishrl.programs.figures.run_pictures import write_run_pictures, write_trajectories
@@ -168,6 +170,20 @@ def test_a_painter_keeps_paths_of_one_episode_but_no_fields_of_earlier_frames() 
     painter.paint(recording.frames[1])
     gc.collect()
     assert kept() is None
+
+
+def test_pictures_equal_those_that_are_drawn_whole() -> None:
+    scene, pictures = scenes.make_scene(), []
+    painter, whole = film.FramePainter(scene, dpi=100.0), film.FramePainter(scene, dpi=100.0)
+    for artist in whole._changing:
+        artist.set_animated(False)
+    for frame in map(scenes.make_frame, range(3)):
+        pictures.append(painter.paint(frame))
+        whole.paint(frame)
+        with mpl.rc_context(STYLE):
+            whole._canvas.draw()
+        assert np.array_equal(pictures[-1], np.asarray(whole._canvas.buffer_rgba())[..., :3])
+    assert not np.array_equal(pictures[0], pictures[-1])
 
 
 def test_points_are_painted_in_the_colours_of_their_values() -> None:
