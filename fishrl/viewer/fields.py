@@ -5,9 +5,9 @@ Needs the extra ``export``, which is imported on use.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -99,16 +99,21 @@ def _describe(text: str, unit: str) -> dict[str, str]:
     return {"units": "1", "long_name": f"{text}, in {unit}"}
 
 
+def _keep(flow: xr.Dataset) -> dict[Hashable, dict[str, Any]]:
+    """Return how coordinates are written: CF allows them no value for what is missing."""
+    return {name: {"_FillValue": None} for name in flow.coords}
+
+
 def write_netcdf(flow: xr.Dataset, path: Path | str) -> None:
     """Write one compressed NetCDF file."""
-    packing = {name: {"zlib": True, "complevel": 4} for name in flow.data_vars}
+    packing = {name: {"zlib": True, "complevel": 4} for name in flow.data_vars} | _keep(flow)
     with staged(Path(path)) as stage:
         flow.to_netcdf(stage, engine="h5netcdf", encoding=packing)
 
 
 def write_zarr(flow: xr.Dataset, path: Path | str) -> None:
     """Write a Zarr folder, one chunk per moment."""
-    chunks = {name: {"chunks": (1, *flow[name].shape[1:])} for name in flow.data_vars}
+    chunks = {name: {"chunks": (1, *flow[name].shape[1:])} for name in flow.data_vars} | _keep(flow)
     # version 2 of the format, whose specification has consolidated metadata
     flow.to_zarr(path, mode="w", encoding=chunks, consolidated=True, zarr_format=2)
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
 from operator import methodcaller
 from os import PathLike
 from pathlib import Path
@@ -13,6 +12,7 @@ import matplotlib as mpl
 import numpy as np
 import torch
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
@@ -240,11 +240,11 @@ class FramePainter:
             self._canvas.draw()
             figure.set_layout_engine("none")
             axes = self._flow.image.axes
-            changing = (axes.images, axes.lines, axes.patches, axes.collections, axes.texts)
+            parts = (part for part in axes.get_children() if not isinstance(part, Axis))
             self._changing = sorted(
-                (*chain(*changing), *axes.spines.values()), key=methodcaller("get_zorder")
+                (part for part in parts if part is not axes.patch), key=methodcaller("get_zorder")
             )
-            for artist in self._changing:  # all but axes, titles and colour bar
+            for artist in self._changing:  # all but ticks, their labels and the colour bar
                 artist.set_animated(True)
             self._canvas.draw()
             self._rest = self._canvas.copy_from_bbox(figure.bbox)

@@ -63,11 +63,10 @@ def read_values(base: FlowEnv, scene: Scene) -> dict[str, Tensor]:
     return {key: value for key, value in values.items() if key not in hidden}
 
 
-def list_reasons(base: FlowEnv) -> list[str]:
-    """Return for each row in what words its episode ends, if the task ends it now; or nothing."""
-    task = base.task
-    ways = find_extension(task, HasScene).name_endings(task.measure(base.solver, base.start))
-    rows = range(base.batch_size[0])
+def list_reasons(task: AbstractTask, now: TensorDictBase) -> list[str]:
+    """Return in what words each row's episode ends, if the task ends it ``now``; or nothing."""
+    ways = find_extension(task, HasScene).name_endings(now)
+    rows = range(now.batch_size[0])
     return [next((words for words, is_so in ways.items() if is_so[row].any()), "") for row in rows]
 
 
@@ -132,9 +131,10 @@ class Recorder:
         """Read a frame of some rows; those that have not moved since the last one are left out."""
         if not rows:
             return
-        values, solver = read_values(self._base, self._scene), self._base.solver
-        reasons = list_reasons(self._base)
-        ages, period = solver.body.age.tolist(), self._base.task.scales.period
+        base = self._base
+        values, solver = read_values(base, self._scene), base.solver
+        reasons = list_reasons(base.task, base.measure())
+        ages, period = solver.body.age.tolist(), base.task.scales.period
         for row in rows:
             time, last = ages[row] / period, self._last_T[row]
             if time != last:

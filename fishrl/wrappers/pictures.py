@@ -44,7 +44,8 @@ class Pictures:
 
     def tell_endings(self, after: TensorDictBase) -> list[Ending | None]:
         """Return how episodes ended in the state ``after`` ``[B]``; the next pictures say so."""
-        self.endings = list_endings(after, self.flows.task, list_reasons(self.flows))
+        task = self.flows.task
+        self.endings = list_endings(after, task, list_reasons(task, self.flows.now))
         return self.endings
 
     def paint(self) -> tuple[Array, ...]:

@@ -44,7 +44,7 @@ class FlowVectorEnv(VectorEnv):
         0; on a CPU the flow does not advance. Exclude that step from learning.
     ``SAME_STEP``
         The step that ends an episode returns the first observation of the next one. The last
-        observation is ``infos["final_obs"]`` (None in other rows), its infos
+        observation is ``infos["final_obs"]`` (None in other rows), its infos, with ``ending``,
         ``infos["final_info"]``.
     ``DISABLED``
         Ended rows must be reset by ``reset(options={"reset_mask": rows})`` before the next step.
@@ -147,23 +147,19 @@ class FlowVectorEnv(VectorEnv):
                 "reset(options={'reset_mask': terminations | truncations}) first"
             )
         after = self._advance(state, self._read_actions(actions), waiting)
-        endings = self._pictures.tell_endings(after)
         reward, terminated, truncated = (
             np.where(waiting, 0, _row_wise(after[name])).astype(dtype)
             for name, dtype in (("reward", float), ("terminated", bool), ("truncated", bool))
         )
         is_over = terminated | truncated
         infos: dict[str, Any] = {}
-        if is_over.any():
-            words = np.full(self.num_envs, None, dtype=object)
-            for row in is_over.nonzero()[0]:
-                words[row] = endings[row].words
-            infos = _with_rows({"ending": words}, is_over)
+        ending = self._tell_endings(after, is_over)
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             if is_over.any():
-                infos |= self._tell_ends(after, is_over)
+                infos = self._tell_ends(after, is_over, ending)
                 after = self._reset_rows(after, is_over)
         else:
+            infos = _with_rows(ending, is_over)
             if waiting.any():
                 after = self._reset_rows(after, waiting)
             self._is_over = is_over
@@ -235,13 +231,23 @@ class FlowVectorEnv(VectorEnv):
         """Return infos: all entries but the observations."""
         return _with_rows(self._read_reported(state), np.ones(self.num_envs, dtype=np.bool_))
 
-    def _tell_ends(self, state: TensorDictBase, rows: Array) -> dict[str, Any]:
+    def _tell_endings(self, state: TensorDictBase, rows: Array) -> dict[str, Array]:
+        """Return how the episodes of ``rows`` ended, if any."""
+        if not rows.any():
+            return {}
+        endings = zip(rows, self._pictures.tell_endings(state), strict=True)
+        words = [ending.words if over and ending else None for over, ending in endings]
+        return {"ending": np.array(words, dtype=object)}
+
+    def _tell_ends(
+        self, state: TensorDictBase, rows: Array, ending: dict[str, Array]
+    ) -> dict[str, Any]:
         """Return last observations and infos of ended episodes."""
         observations = _observe(state)
         final = np.full(self.num_envs, None, dtype=object)
         for row in rows.nonzero()[0]:
             final[row] = observations[row]
-        last = _with_rows(self._read_reported(state), rows)
+        last = _with_rows(self._read_reported(state) | ending, rows)
         return _with_rows({"final_obs": final, "final_info": last}, rows)
 
     def _read_reported(self, state: TensorDictBase) -> dict[str, Array]:

@@ -46,6 +46,8 @@ def test_fields_are_in_body_lengths_and_periods(flow: xr.Dataset) -> None:
 def test_xarray_reads_netcdf_and_zarr(flow: xr.Dataset, tmp_path: Path) -> None:
     write_netcdf(flow, tmp_path / "flow.nc")
     write_zarr(flow, tmp_path / "flow.zarr")
+    with xr.open_dataset(tmp_path / "flow.nc", engine="h5netcdf", mask_and_scale=False) as raw:
+        assert not any("_FillValue" in raw[name].attrs for name in raw.coords)
     for read in (
         xr.load_dataset(tmp_path / "flow.nc", engine="h5netcdf"),
         xr.open_zarr(tmp_path / "flow.zarr").load(),

@@ -140,7 +140,8 @@ def test_same_step_autoreset_returns_final_observation() -> None:
     assert truncations.tolist() == [True, True]
     assert infos["_final_obs"].tolist() == infos["_final_info"].tolist() == [True, True]
     assert infos["final_info"]["diverged"].tolist() == [True, False]
-    assert infos["ending"].tolist() == ["the flow diverged", "time is over"]
+    assert infos["final_info"]["ending"].tolist() == ["the flow diverged", "time is over"]
+    assert "ending" not in infos
     assert infos["final_info"]["step_count"].tolist() == [LIMIT, LIMIT]
     assert infos["step_count"].tolist() == [0, 0]
     assert np.isfinite(observations).all()

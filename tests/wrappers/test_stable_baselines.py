@@ -40,6 +40,8 @@ def test_ended_row_is_reset_and_returns_its_terminal_observation() -> None:
     assert dones.tolist() == [info["TimeLimit.truncated"] for info in infos] == [True, True]
     assert [info["step_count"] for info in infos] == [3, 3]
     assert [info["step_count"] for info in envs.reset_infos] == [0, 0]
+    assert [info["ending"] for info in infos] == ["time is over"] * 2
+    assert not any("ending" in info for info in envs.reset_infos)
     assert not np.array_equal(infos[1]["terminal_observation"], observations[1])
 
 

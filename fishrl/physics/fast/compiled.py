@@ -6,20 +6,13 @@ Inductor with *the views themselves as inputs* avoids both. In return, the calle
 shapes, strides and types never change and that mutated inputs do not overlap within one call.
 """
 
-import gc
 import gzip
 import logging
-import os
-import platform
 import re
-import subprocess
-import sys
-import sysconfig
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from functools import cache
 from itertools import chain
 from pathlib import Path
 from types import CellType
@@ -31,137 +24,19 @@ from torch import Tensor
 from fishrl.files import staged
 from fishrl.locks import take_lock
 from fishrl.physics.cache_key import hash_sources, make_key
+from fishrl.physics.fast.inductor import (
+    find_compiler_problem,
+    set_up_inductor,
+    without_collector,
+)
 
 logger = logging.getLogger(__name__)
 
 InPlaceFunction = Callable[..., Any]
 
 
-@contextmanager
-def _without_collector() -> Iterator[None]:
-    """Suspend the garbage collector: a tenth of the compiler's time, and it frees little."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
-
-
-@cache
-@_without_collector()
-def find_compiler_problem(device_type: str) -> str | None:
-    """Return why nothing can be compiled for ``device_type``, or None; logged once."""
-    problem = _find_cpp_problem() if device_type == "cpu" else None
-    if problem:
-        logger.warning("%s: the flow runs eagerly, about 50 times slower", problem)
-    return problem
-
-
-def _find_cpp_problem() -> str | None:
-    from torch._inductor.cpp_builder import get_cpp_compiler
-    from torch._inductor.runtime.cache_dir_utils import cache_dir, default_cache_dir
-
-    try:
-        with torch._inductor.config.patch(_list_settings()):
-            compiler = get_cpp_compiler()
-    except (RuntimeError, OSError):
-        if "CXX" in os.environ:
-            return f"CXX={os.environ['CXX']!r} is no C++ compiler: name one program, or unset CXX"
-        return "no C++ compiler (g++ or clang++) on the path"
-    paths = {  # that Inductor puts into commands without quotes
-        "set TORCHINDUCTOR_CACHE_DIR": cache_dir(),
-        "set TMPDIR or LOGNAME": default_cache_dir(),
-        "set CXX": compiler,
-        "install torch elsewhere": torch.__path__[0],
-        "install Python elsewhere": sysconfig.get_config_var("LIBDIR") or "",
-    }
-    for remedy, path in paths.items():
-        if set(path) & set(" \t\r\n\"'\\"):
-            return f"a space, quote or backslash in the path {path!r} is not supported ({remedy})"
-    return None
-
-
-def _list_settings() -> dict[str, object]:
-    """Return Inductor's settings: fused multiply-add, no checks of shapes, which never change."""
-    compilers = torch._inductor.config.cpp.cxx  # $CXX alone, or g++
-    return {
-        "cpp.cxx": compilers if "CXX" in os.environ else (*compilers, "clang++"),
-        "cpp.enable_floating_point_contract_flag": "fast",
-        "size_asserts": False,
-        "alignment_asserts": False,
-        "cpp.vec_isa_ok": True,  # by the processor's flags; else a program is compiled for each
-        # For networks: frozen constants are not stored, and templates fail on mutated arguments.
-        "freezing": False,
-        "max_autotune": False,
-        "max_autotune_gemm": False,
-    }
-
-
-@cache
-def _describe_target() -> str:
-    """Return the compiler's macros: its version, and what it takes this processor for."""
-    from torch._inductor.cpp_builder import get_cpp_compiler
-
-    command = [get_cpp_compiler(), "-march=native", "-dM", "-E", "-xc++", os.devnull]
-    return subprocess.run(command, capture_output=True, text=True, check=False).stdout
-
-
-def _identify_machine(device: torch.device) -> str:
-    """Return a key of what compiled code depends on, apart from its source and its settings.
-
-    Inductor's own keys lack most of it: the width of vectors, the instructions that
-    ``-march=native`` allows, and the versions of compiler and C library.
-    """
-    from torch._inductor.cpu_vec_isa import pick_vec_isa
-
-    target: list[object] = [torch.__config__.show(), sys.version, platform.libc_ver()]
-    if device.type == "cuda":
-        target += [torch.cuda.get_device_name(device), device]  # the code holds its index
-    else:
-        vectors = pick_vec_isa().build_arch_flags()  # for the processor and ATEN_CPU_CAPABILITY
-        target += [torch.get_num_threads(), vectors, _describe_target()]
-    return make_key(target)
-
-
-@contextmanager
-def _set_up_inductor(device: torch.device, patches: dict[str, object]) -> Iterator[Path]:
-    """Apply settings, and yield a folder for this kind of machine, in which Inductor stores."""
-    from torch._inductor import cpu_vec_isa
-    from torch._inductor.runtime.cache_dir_utils import cache_dir
-
-    if device.type == "cpu":  # else a warning in each process where there is nvcc but no GPU
-        logging.getLogger("torch.utils.cpp_extension").setLevel(logging.ERROR)
-    # a search, a tenth of the compilation on a CPU; combined kernels of a GPU fail without it
-    search = {"reorder_for_peak_memory": device.type != "cpu"}
-    with torch._inductor.config.patch(_list_settings() | search | patches):
-        before, list_all = cache_dir(), cpu_vec_isa.valid_vec_isa_list
-        if units := _list_vector_units():
-            cpu_vec_isa.valid_vec_isa_list = cache(lambda: units)
-        try:
-            folder = Path(before, "fishrl", _identify_machine(device))
-            os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(folder)
-            yield folder
-        finally:
-            cpu_vec_isa.valid_vec_isa_list = list_all
-            os.environ["TORCHINDUCTOR_CACHE_DIR"] = before
-
-
-@cache
-def _list_vector_units() -> list[Any]:
-    """Return the vector units for floats that the processor's flags name; none but of x86.
-
-    Inductor would compile and run three programs to find out about other types.
-    """
-    from torch._inductor.cpu_vec_isa import VecAVX2, VecAVX512, x86_isa_checker
-
-    flags = x86_isa_checker()
-    units = [
-        type(unit.__name__, (unit,), {"__bool__": lambda _: True})()
-        for unit in (VecAVX512, VecAVX2)
-    ]
-    return [unit for unit in units if all(flag in flags for flag in str(unit).split())]
+class IsBeingMadeError(Exception):
+    """Another process is at what was to be compiled."""
 
 
 def _make_twin(t: Tensor) -> Tensor:
@@ -194,7 +69,7 @@ def is_own(thing: object) -> bool:
     )
 
 
-@_without_collector()
+@without_collector()
 def compile_inplace(
     function: InPlaceFunction,
     example: Sequence[Tensor],
@@ -220,12 +95,12 @@ def compile_inplace(
 
     Raises:
         ChildProcessError: if the compiler fails.
-        BlockingIOError: without ``waits``, while another process compiles the same.
+        IsBeingMadeError: without ``waits``, while another process compiles or loads the same.
     """
     device = example[0].device
     if find_compiler_problem(device.type):
         return function
-    with _set_up_inductor(device, patches) as folder:
+    with set_up_inductor(device, patches) as folder:
         if name is None:
             return _reach_code(_compile(function, example, num_varying))
         path = folder / f"{_make_name(name, example, num_varying)}.bin"
@@ -242,7 +117,7 @@ def is_stored(
     """Return whether ``compile_inplace`` has nothing to make, or finds it on the disk."""
     if find_compiler_problem(example[0].device.type):
         return True
-    with _set_up_inductor(example[0].device, patches) as folder:
+    with set_up_inductor(example[0].device, patches) as folder:
         return (folder / f"{_make_name(name, example, num_varying)}.bin").exists()
 
 
@@ -257,11 +132,11 @@ def _claim(path: Path, *, waits: bool) -> Iterator[None]:
         return
     with lock:
         if not take_lock(lock, waits=waits):
-            raise BlockingIOError(f"another process makes {path}")
+            raise IsBeingMadeError(f"another process makes {path}")
         yield
 
 
-@_without_collector()
+@without_collector()
 def compile_differentiable(
     function: Callable[..., Sequence[Tensor]], example: Sequence[Tensor]
 ) -> Callable[..., Sequence[Tensor]]:
@@ -283,7 +158,7 @@ def compile_differentiable(
     settings = {"force_non_lazy_backward_lowering": True, "donated_buffer": False}
     eager = torch._functorch.config.patch(settings)
     graph = _trace(function, twins)
-    with _set_up_inductor(device, {}), eager, torch.enable_grad():
+    with set_up_inductor(device, {}), eager, torch.enable_grad():
         twins = [t.requires_grad_(t.is_floating_point()) for t in twins]
         compiled = _make_whole(lambda: compile_fx(graph, twins))
         for result in compiled(*twins):  # for retain_graph, torch wants to see that none is donated

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from fishrl.limits import count_cores, count_running
 from fishrl.physics.fast.batch import FlowBatch
-from fishrl.physics.fast.compiled import find_compiler_problem
+from fishrl.physics.fast.inductor import find_compiler_problem
 from fishrl.physics.fast.workers import Workers, can_send, map_shared, open_shared
 from fishrl.physics.flow import FlowConfig
 from fishrl.torch_state import one_thread
@@ -82,9 +82,11 @@ class Execution:
             return
         began = time.perf_counter()
         logger.info("compiling the flow step (up to a minute when new) ...")
-        workers = self._start_children()
+        workers = self._start_workers()
         try:
-            if self._wants_compile:
+            if workers is not None:
+                workers.add_helpers(self._count_helpers())
+            if self._wants_compile:  # killed meanwhile, it leaves its C++ compiler for seconds
                 self._compile_own()
             if workers is not None:
                 if self.num_workers:
@@ -99,19 +101,17 @@ class Execution:
             self._shared.close()
         logger.info("flow step ready after %.1f s", time.perf_counter() - began)
 
-    def _start_children(self) -> Workers | None:
-        """Start the workers, and a process that helps to compile what is new."""
+    def _start_workers(self) -> Workers | None:
+        """Start the workers; none, to whom helpers may be added, for a single flow."""
         if self._shared is None:
             return None
-        workers = Workers(
+        return Workers(
             self._configs,
             group_size=self.group_size,
             file=self._shared.fileno(),
             count=self.num_workers,
             compile=self._wants_compile,
         )
-        workers.add_helpers(self._count_helpers())
-        return workers
 
     def _compile_own(self) -> None:
         """Compile what this process runs itself: with workers the check alone."""
@@ -130,7 +130,7 @@ class Execution:
             with_check = not self.num_workers
             if not self.batch.stepper.is_new(self.batch.first, with_check=with_check):
                 return 0
-        num_busy = count_running() - bool(self.num_workers)  # then this process waits
+        num_busy = count_running() - bool(self.num_workers)  # then this process has little to do
         return min(max(count_cores() - num_busy, 0), 1)
 
     def _limit_threads(self) -> AbstractContextManager[None]:

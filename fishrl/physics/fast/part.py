@@ -9,7 +9,13 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.outline import BodyConfig
-from fishrl.physics.fast.compiled import InPlaceFunction, compile_inplace, is_own, is_stored
+from fishrl.physics.fast.compiled import (
+    InPlaceFunction,
+    IsBeingMadeError,
+    compile_inplace,
+    is_own,
+    is_stored,
+)
 from fishrl.physics.fast.flow_memory import GroupMemory
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.storage import Storage
@@ -67,7 +73,7 @@ class Part:
     def compile(self, example: Sequence[Tensor], *, waits: bool = True) -> bool:
         """Compile ``run``, and keep the code on disk if the part has a key.
 
-        Returns False, without ``waits``, while another process compiles it.
+        Returns False, without ``waits``, while another process compiles or loads it.
         """
         if self._settings is None:
             return True
@@ -81,7 +87,7 @@ class Part:
                 waits=waits,
                 **settings,
             )
-        except BlockingIOError:
+        except IsBeingMadeError:
             return False
         return True
 

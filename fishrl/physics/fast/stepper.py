@@ -71,11 +71,13 @@ class Stepper:
     def compile(self, example: FlowGroup, *, with_check: bool, waits: bool = True) -> None:
         """Compile all parts, for groups of the form of ``example``.
 
-        Processes share the work: what another one compiles is loaded in the end, or not at all
-        without ``waits``. Only one that reads the flows needs the check.
+        Processes share the work: what another one compiles is loaded last. Without ``waits`` this
+        one helps others alone: it leaves that, and what cannot be stored for them. Only a process
+        that reads the flows needs the check.
         """
         collision, *rest = self.list_all(with_check=with_check)
         parts = [*rest, collision]  # the longest are not the last, so that processes end together
+        parts = [part for part in parts if waits or part.key is not None]
         tensors = {part: example.arguments[part][0] for part in parts}
         left = [part for part in parts if not part.compile(tensors[part], waits=False)]
         for part in left if waits else ():

@@ -26,6 +26,7 @@ from fishrl.physics.boundaries import Boundaries, NoSlip
 from fishrl.physics.cache_key import make_key
 from fishrl.physics.collision import Rates
 from fishrl.physics.fast import compiled as compiled_module
+from fishrl.physics.fast import inductor as inductor_module
 from fishrl.physics.fast.compiled import compile_inplace, is_stored
 from fishrl.physics.fast.part import Part
 from fishrl.physics.immersed_boundary import IterativeForcing
@@ -166,7 +167,7 @@ def test_a_flipped_bit_in_stored_code_is_noticed(
 
 TWO_STEPS = """
 import time, torch
-from fishrl.physics.fast.compiled import compile_inplace
+from fishrl.physics.fast.compiled import IsBeingMadeError, compile_inplace
 torch.set_num_threads(1)
 x = torch.ones(3)
 def make(factor, waits):
@@ -179,7 +180,7 @@ made, left = {}, []
 for factor in (2.0, 3.0):
     try:
         made[factor] = make(factor, False)
-    except BlockingIOError:
+    except IsBeingMadeError:
         left.append(factor)
 made |= {factor: make(factor, True) for factor in left}
 print("left", left)
@@ -223,16 +224,16 @@ def test_the_key_of_a_machine_has_its_instructions_and_its_compiler(tmp_path: Pa
     for flags in ("", "-march=bonnell", "-D__VERSION__='13'", ""):
         compiler.write_text(f'#!/bin/sh\nexec g++ "$@" {flags}\n')
         compiler.chmod(0o755)
-        compiled_module._describe_target.cache_clear()
+        inductor_module.describe_target.cache_clear()
         with inductor_config.patch({"cpp.cxx": str(compiler)}):
-            keys.append(compiled_module._identify_machine(torch.device("cpu")))
-    compiled_module._describe_target.cache_clear()
+            keys.append(inductor_module.identify_machine(torch.device("cpu")))
+    inductor_module.describe_target.cache_clear()
     assert keys[0] == keys[-1] and len(set(keys)) == 3
 
 
 def find_problem() -> str | None:
     cpp_compiler_search.cache_clear()
-    return compiled_module.find_compiler_problem.__wrapped__("cpu")
+    return inductor_module.find_compiler_problem.__wrapped__("cpu")
 
 
 def test_the_compiler_is_the_one_that_inductor_finds(

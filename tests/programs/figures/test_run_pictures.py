@@ -178,6 +178,7 @@ def test_pictures_equal_those_that_are_drawn_whole() -> None:
     for artist in whole._changing:
         artist.set_animated(False)
     for frame in map(scenes.make_frame, range(3)):
+        frame.values["fish"] += torch.tensor([10.0, -26.0])  # over the words in the corner
         pictures.append(painter.paint(frame))
         whole.paint(frame)
         with mpl.rc_context(STYLE):
