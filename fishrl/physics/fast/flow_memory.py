@@ -66,9 +66,10 @@ def carve_memory(
     num_envs, counts = len(sample.clock), [leaf.numel() for leaf in leaves]
     num_omegas = num_envs * (layout.flow_length if has_omega_field else 1)
     slots = num_envs // layout.num_envs, layout.num_slots
-    sizes = [8 * sum(counts), 4 * round_up(num_omegas), dtype.itemsize * prod(slots)]
+    # populations begin at a cache line: loads that cross it take a tenth of a step
+    sizes = [8 * round_up(sum(counts)), 4 * round_up(num_omegas), dtype.itemsize * prod(slots)]
     doubles, singles, stored = torch.split(allocate(sum(sizes)), sizes)
-    parts = torch.split(doubles.view(torch.float64), counts)
+    parts = torch.split(doubles.view(torch.float64)[: sum(counts)], counts)
     shaped = [part.view(leaf.shape) for part, leaf in zip(parts, leaves, strict=True)]
     flow: FlowData = pytree.tree_unflatten(shaped, form)
     omega = singles.view(torch.float32)[:num_omegas].view(num_envs, -1)
