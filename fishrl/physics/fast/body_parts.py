@@ -72,7 +72,7 @@ BODY_SETTINGS: dict[str, dict[str, object]] = {
     "cuda": {"combo_kernels": True, "triton.persistent_reductions": False},
 }
 # Vectors are worth their compilation (another 8 s) from this number of markers on.
-_MANY_MARKERS = 60
+_MANY_MARKERS = 50
 
 
 def get_bodies(memory: GroupMemory) -> Bodies:
