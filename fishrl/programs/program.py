@@ -39,7 +39,7 @@ from fishrl.envs import AbstractTask
 from fishrl.pages import show
 from fishrl.programs.configuration import CommandLine, split_options
 from fishrl.settings import REQUIRED, TARGET, Settings, build, describe, list_fields, to_plain
-from fishrl.settings.plain import list_classes
+from fishrl.settings.plain import list_classes, list_words
 from fishrl.training.interruption import exit_status, handling_signals
 
 #: Layout of the lines of the help.
@@ -91,8 +91,9 @@ class Program:
             lines.append("")
         lines.append("settings, as key=value:")
         texts = read_arguments(line.schema)
+        hints = {entry.name: entry.type for entry in list_fields(line.schema)}
         for name, value in self.list_defaults(arguments).items():
-            lines += _list_settings(name, value, texts.get(name, ""))
+            lines += _list_settings(name, value, texts.get(name, ""), hints[name])
         return "\n".join(lines).replace("``", "`")
 
     def list_defaults(self, arguments: Sequence[str] = ()) -> dict[str, Any]:
@@ -133,16 +134,19 @@ def program(
     return make
 
 
-def _list_settings(key: str, value: Any, text: str) -> Iterator[str]:
-    """List a setting and those below it, each with its meaning."""
+def _list_settings(key: str, value: Any, text: str, hint: Any) -> Iterator[str]:
+    """List a setting and those below it, each with its meaning, and the words for an object."""
+    if len(words := list_words(hint)) > 1:
+        text = f"{text} ({key}={'|'.join(words)})"
     plain = "???" if value is REQUIRED else to_plain(value)
     if not isinstance(plain, dict) or TARGET not in plain:
         yield fill(f"{key}={write_value(plain)}  {text}", **_WIDTH)
         return
     yield fill(f"{key}._target_={plain[TARGET]}  {text}", **_WIDTH)
     texts = read_arguments(type(value))
-    for name in list(plain)[1:]:
-        yield from _list_settings(f"{key}.{name}", getattr(value, name), texts.get(name, ""))
+    for name, below, *_ in list_fields(type(value)):
+        text = texts.get(name, "")
+        yield from _list_settings(f"{key}.{name}", getattr(value, name), text, below)
 
 
 def write_value(value: Any) -> str:

@@ -3,6 +3,7 @@
 import inspect
 import math
 import typing
+from collections.abc import Mapping
 from dataclasses import MISSING, Field, field
 from enum import Enum
 from functools import cache
@@ -48,9 +49,14 @@ class Settings:
     default it changes and keeps bounds and role. Checks that concern several fields belong in
     ``__post_init__``.
 
+    Attributes:
+        former: what to give in place of settings that are gone, by their names.
+
     Raises:
         ValueError: with a line per error, ``name = value: must be ...``.
     """
+
+    former: typing.ClassVar[Mapping[str, str]] = {}
 
     if TYPE_CHECKING:
         __dataclass_fields__: typing.ClassVar[dict[str, Field[Any]]]
@@ -115,6 +121,8 @@ def _check_init(self: Any, /, **values: Any) -> None:
         lines = {str(e["loc"][0]): "" for e in found if e["loc"]} | lines
         for name in lines:
             of_name = [entry for entry in found if entry["loc"] and entry["loc"][0] == name]
+            if name in self.former:
+                lines[name] = f"{name}: {self.former[name]}"
             lines[name] = lines[name] or explain(name, of_name, value=values.get(name), known=known)
     if lines:
         raise FieldErrors("\n".join(lines.values()))

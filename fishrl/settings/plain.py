@@ -1,13 +1,15 @@
 """Objects as plain nested data, as hydra composes it and files store it, and back.
 
 The data of an object are ``{"_target_": "module.Class", argument: value, ...}``; values are
-numbers, words, lists, mappings or the data of other objects. Building makes only classes of the
-type that a field asks for, from fishrl or from modules that the user has imported or named: a file
-cannot choose other code.
+numbers, words, lists, mappings or the data of other objects. A word stands for an object where the
+type of a field is a class of settings: ``immersed-boundary`` for ``ImmersedBoundary()``. Building
+makes only classes of the type that a field asks for, from fishrl or from modules that the user has
+imported or named: a file cannot choose other code.
 """
 
 import importlib
 import inspect
+import re
 import sys
 import typing
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -17,7 +19,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from fishrl.settings.base import FieldErrors, Settings, find_schema, list_fields
+from fishrl.settings.base import REQUIRED, FieldErrors, Settings, find_schema, list_fields
 from fishrl.settings.messages import suggest
 
 T = TypeVar("T")
@@ -83,8 +85,8 @@ def build(kind: type[T] | tuple[type[T], ...], node: Any, *, modules: Collection
 
     Args:
         kind: class of the object or a base of it, or several.
-        node: its arguments. ``_target_`` names the class; without it, arguments of an object in a
-            field change the default of that field.
+        node: its arguments. ``_target_`` names the class, as ``module.Class`` or by its word;
+            without it, arguments of an object in a field change the default of that field.
         modules: modules outside fishrl that may be imported for a ``_target_``, named by the user
             and never by a file. Those that are imported already need not be named.
 
@@ -139,6 +141,8 @@ class _Builder:
                 below = values.get(name, entries[name].default)
                 values[name] = self._make_part(value, entries[name].type, prefix + name, below)
                 failed += [name][: len(self.errors) - count]
+            elif issubclass(kind, Settings) and name in kind.former:
+                self.errors.append(f"{prefix}{name}: {kind.former[name]}")
             elif name != TARGET:
                 self.unknown.append(prefix + name)
         values = {name: value for name, value in values.items() if name not in failed}
@@ -179,7 +183,17 @@ class _Builder:
             for kind in kinds:
                 if issubclass(kind, Enum):
                     return self._pick(kind, value, path)
+            if words := list_words(hint):
+                return self._make_named(value, words, path)
         return value
+
+    def _make_named(self, word: str, words: Mapping[str, type], path: str) -> Any:
+        """Return the object that a word stands for."""
+        if word in words:
+            return self.make({}, (words[word],), path=path)
+        reason = f"must be one of {', '.join(words)}{suggest(word, words)}"
+        self.errors.append(f"{path} = {word!r}: {reason}")
+        return None
 
     def _pick(self, kind: type[Enum], word: str, path: str) -> Enum | None:
         """Return the member of a name, in upper or lower case, with hyphens or underscores."""
@@ -219,8 +233,33 @@ def list_classes(hint: Any) -> Iterator[type]:
         yield from list_classes(part)
 
 
+def list_words(*hints: Any) -> dict[str, type]:
+    """Return the classes of settings that a word can stand for in a field of some type, by word.
+
+    They are those imported so far that are not abstract and whose settings all have defaults. There
+    is none where the field may hold text.
+    """
+    words: dict[str, type] = {}
+    if any(map(_may_be_text, hints)):
+        return words
+    kinds = [kind for hint in hints for kind in list_classes(hint) if issubclass(kind, Settings)]
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+        has_defaults = all(entry.default is not REQUIRED for entry in list_fields(kind))
+        if has_defaults and not inspect.isabstract(kind):
+            words[re.sub(r"(?<=[a-z\d])(?=[A-Z])", "-", kind.__name__).lower()] = kind
+    return words
+
+
+def _may_be_text(hint: Any) -> bool:
+    is_text = hint in (str, Path) or typing.get_origin(hint) is typing.Literal
+    return is_text or any(map(_may_be_text, typing.get_args(hint)))
+
+
 def find_class(name: str, kinds: tuple[type, ...], *, modules: Collection[str] = ()) -> type:
-    """Return the class of a dotted name if it is one of some kinds; see ``build``."""
+    """Return the class of a dotted name or a word if it is one of some kinds; see ``build``."""
+    if "." not in name and name in (words := list_words(*kinds)):
+        return words[name]
     module, _, last = name.rpartition(".")
     loaded = sys.modules.get("__main__" if module == find_main() else module)
     if loaded is None and any(f"{module}.".startswith(f"{own}.") for own in ("fishrl", *modules)):

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import field
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from pydantic import PositiveInt
@@ -36,7 +36,17 @@ class Gait(Settings):
             raise ValueError(f"speed = {self.speed}: must be that of a fish")
 
 
+class WideGait(Gait):
+    speed: float = 2.0
+
+
+class GivenGait(Gait):
+    width: float
+
+
 class Task(Settings):
+    former: ClassVar[Mapping[str, str]] = {"swim": "give gait=wide-gait"}
+
     gap_bl: float = 1.0
     line: Line = Line(features=("pressure",))
     gait: Gait | None = None
@@ -104,6 +114,11 @@ def test_errors_have_a_line_each_with_dotted_keys() -> None:
         ),
         ({"task": {}, "logger": {"size": "3"}}, "logger.size = '3': must be a valid integer"),
         ({"task": {}, "logger": {"sice": 3}}, "logger.size: has no default, so it must be given"),
+        (
+            {"task": {"gait": "wide-gate"}},
+            "task.gait = 'wide-gate': must be one of gait, wide-gait; did you mean 'wide-gait'?",
+        ),
+        ({"task": {"swim": "wide"}}, "task.swim: give gait=wide-gait"),
         ("Training", "give a _target_ and its arguments; got 'Training'"),
     ],
     ids=str,
@@ -189,3 +204,15 @@ def test_a_member_of_an_enumeration_is_given_by_its_name(word: str) -> None:
     assert build(Line, {"colour": word}).colour is Colour.DARK_RED
     with pytest.raises(ValueError, match="must be one of red, dark-red; did you mean 'dark-red'"):
         build(Line, {"colour": f"{word}x"})
+
+
+def test_a_word_stands_for_an_object_of_the_class_of_that_name() -> None:
+    task = build(Task, {"gait": "wide-gait", "gaits": ["gait", "wide-gait"]})
+    assert task == Task(gait=WideGait(), gaits=(Gait(), WideGait()))
+    assert to_plain(task)["gait"] == {"_target_": f"{__name__}.WideGait", "speed": 2.0}
+    assert build(Task, {"gait": {"_target_": "wide-gait", "speed": 4}}).gait == WideGait(speed=4)
+
+
+def test_a_setting_that_is_gone_names_what_replaces_it() -> None:
+    with pytest.raises(ValueError, match=r"^swim: give gait=wide-gait$"):
+        Task(swim=1)  # type: ignore[call-arg]
