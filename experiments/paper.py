@@ -11,12 +11,12 @@ from typing import Any
 import yaml
 from markdown_it import MarkdownIt
 
+from experiments.gait.tables import divide_work
 from fishrl.files import make_folder, staged, write_whole
 from fishrl.pages import escape, write_table
 from fishrl.programs import view
 from fishrl.programs.configuration import quote
 from fishrl.programs.figures.learning_curve import Curve, draw_curves, read_metrics
-from fishrl.programs.gait.tables import divide_work
 from fishrl.programs.statistics import find_mean, show
 from fishrl.programs.summarize import summarize
 from fishrl.programs.sweeps.jobs import find_runs

@@ -26,7 +26,7 @@ TENSORS = {
 #: Of the programs, which nothing in the library imports.
 PROGRAMS = TENSORS | {
     *("torchrl", "hydra", "omegaconf", "yaml", "tqdm", "psutil", "matplotlib", "PIL", "scipy"),
-    *("optuna", "huggingface_hub", "minari", "gymnasium", "xarray", "pyvista", "fishrl"),
+    *("huggingface_hub", "minari", "gymnasium", "xarray", "pyvista", "fishrl"),
 }
 TASK_SIDE = {"fishrl.physics", "fishrl.envs"}
 TORCHRL_FILES = tuple(

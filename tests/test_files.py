@@ -11,16 +11,16 @@ from typing import Any
 import pytest
 import torch
 
+from experiments.gait import trials
 from fishrl.envs.steering import load_weights, save_weights
 from fishrl.envs.wakes import WakeBank, load_wakes
 from fishrl.files import load_tensors
 from fishrl.modules import LateralLineClassifier
-from fishrl.programs.gait import trials
 from fishrl.programs.lateral_line.collection import CollectionSettings, collect
 from fishrl.training.checkpoint import load_checkpoint, save_checkpoint
 from fishrl.training.policy_spec import PolicySpec
 from tests.envs.test_wakes import RECIPE
-from tests.programs.gait.tasks import BRIEF, make_task
+from tests.experiments.gait.tasks import BRIEF, make_task
 from tests.programs.lateral_line import signals
 from tests.sines import FLOWS, SENSORS
 from tests.training.conftest import renew_checksums

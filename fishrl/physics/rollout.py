@@ -44,7 +44,7 @@ def simulate(
     these requires them, and whatever ``control`` uses. They equal central differences to 1e-5.
     With a sharp skin that moves, though, the result jumps wherever a node changes sides. Gradients
     are exact between these jumps but leave them out, and miss the trend: optimise with
-    ``Coupling.IMPLICIT`` (``examples/gradient_horizon.py`` compares both).
+    ``Coupling.IMPLICIT`` (``studies/gradients`` compares both).
 
     ``torch.func.jvp``, ``jacfwd`` and ``vmap`` work, and the forward derivatives need no memory;
     ``torch.func.grad``, ``vjp`` and ``jacrev`` need ``segment=num_steps``.

@@ -2,10 +2,10 @@
 
 ``@program`` makes a program of a function and of a class with its settings::
 
-    @program(TransferSettings, groups={"task": "karman_gait", "preset": None})
-    def main(settings: TransferSettings) -> None: ...
+    @program(EvaluateConfig, groups={"task": "predation", "preset": None})
+    def main(settings: EvaluateConfig) -> None: ...
 
-``fishrl transfer runs=[a,b] episodes=34 task.reynolds=400`` then checks the settings and calls the
+``fishrl evaluate policy=random task.reynolds=400`` then checks the settings and calls the
 function. ``groups`` are for programs that make a task, algorithm or logger. ``--help`` prints the
 module's docstring and the settings with what the ``Args:`` of their classes say, ``--cfg job`` all
 settings as YAML. ``ValueError``, ``ImportError`` and ``OSError`` end the program with one line. In

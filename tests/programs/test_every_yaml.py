@@ -15,7 +15,7 @@ from fishrl.programs import train
 from fishrl.programs.configuration import CONF
 from fishrl.programs.train_settings import TRAINING
 from fishrl.training.interruption import SIGNALS
-from tests.programs.gait.tasks import OVERRIDES
+from tests.experiments.gait.tasks import OVERRIDES
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fishrl.programs import evaluate, search, train, view
+from fishrl.programs import evaluate, train, view
 from tests.docs.pages import read_blocks
 from tests.envs.conftest import SMALL
 
@@ -88,9 +88,6 @@ def test_every_program_takes_a_task_from_outside(outside: Path) -> None:
     assert train.main.read(folder).modules == ()  # those in use, not all in the folder
     watched = view.main.read([*folder, "task=hold_station", "policy=random"])
     assert type(watched.task) is type(task)
-    searched = search.main.read([*folder, "task=hold_station", "folder=x", "gamma=interval(0,1)"])
-    assert list(searched.space()) == ["gamma"]
-    assert type(train.main.read(searched.fixed).task) is type(task)
 
 
 def test_help_and_presets_know_tasks_from_outside(outside: Path) -> None:

@@ -17,9 +17,10 @@ import pytest
 import torch
 from markdown_it import MarkdownIt
 
+from experiments import transfer
 from fishrl.children import make_environment
 from fishrl.pages import write_table
-from fishrl.programs import evaluate, export, export_data, export_policy, train, transfer, view
+from fishrl.programs import evaluate, export, export_data, export_policy, train, view
 from fishrl.programs.program import Program
 from fishrl.programs.summarize import summarize
 from fishrl.programs.train_settings import TRAINING, TrainConfig, read_resumed

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import pytest
+from tests.programs.test_gait import SETTINGS
 
 from fishrl.envs.scene import Frame
 from fishrl.programs import view
@@ -18,8 +19,7 @@ from fishrl.training import complete
 from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Drawing, Server
 from fishrl.viewer.process import HOST
-from tests.programs.gait.tasks import OVERRIDES
-from tests.programs.test_gait import SETTINGS
+from tests.experiments.gait.tasks import OVERRIDES
 from tests.training.conftest import read_rows
 
 pytestmark = pytest.mark.usefixtures("kinematic")

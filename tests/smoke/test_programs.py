@@ -179,12 +179,6 @@ def test_summarize_writes_its_tables(predation_run: Path) -> None:
     assert (predation_run.parent / "summary.md").is_file()
 
 
-def test_search_stores_its_study(tmp_path: Path) -> None:
-    few = [*FEW, "picture_episodes=0", "baselines=[]", *_set_task(REAL["predation"])]
-    _run("search", f"folder={tmp_path}", "gamma=interval(0.9,0.99)", *few, "trials=1")
-    assert (tmp_path / "study.db").is_file()
-
-
 @pytest.mark.usefixtures("kinematic")
 def test_lateral_line_classifier_is_trained(tmp_path: Path) -> None:
     few = ["num_samples=96", "max_decisions=2", "num_envs=6", "num_epochs=2", "hidden=[8]"]

@@ -29,7 +29,7 @@ def test_tables_of_a_page_follow_from_its_data(study: str) -> None:
 def test_page_has_a_picture_or_table_commands_and_commits(study: str) -> None:
     page = (STUDIES / study / "README.md").read_text(encoding="utf-8")
     assert re.search(r"^!\[.+\]\(.+\.png\)$|^<!-- table: ", page, re.MULTILINE)
-    assert re.search(r"^python -m (experiments|tests)\.\w+", page, re.MULTILINE)
+    assert re.search(r"^python (-m )?(experiments|tests|examples)[./]\w+", page, re.MULTILINE)
     assert re.search(r"commits? [0-9a-f]{7}\b", page)
 
 

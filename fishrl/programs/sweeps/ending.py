@@ -1,4 +1,4 @@
-"""Ending a sweep or a search: its runs save first, whichever launcher started them."""
+"""Ending a sweep: its runs save first, whichever launcher started them."""
 
 import logging
 import multiprocessing

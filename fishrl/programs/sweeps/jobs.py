@@ -1,4 +1,4 @@
-"""The jobs of a sweep or a search: each a run in a process of its own, all in one folder.
+"""The jobs of a sweep: each a run in a process of its own, all in one folder.
 
 hydra launches them, here or elsewhere. A job is the command ``fishrl train <its settings>
 name=<what differs>``, which begins the run or continues it, so a job that dies does not affect the

@@ -1,4 +1,4 @@
-"""Evaluate frozen policies in streams they were not trained in: ``fishrl transfer``.
+"""Evaluate frozen policies in streams they were not trained in: ``python -m experiments.transfer``.
 
 Runs the learned policies of run folders (``runs=[runs/a,runs/b]``, of ``task=karman_gait``) and
 baselines from the same fixed starts in every flow. Writes tables, figures and ``transfer.json``;
@@ -12,12 +12,12 @@ from typing import Any
 import torch
 from pydantic import NonNegativeInt, PositiveFloat, PositiveInt
 
+from experiments.gait import figures, trials
+from experiments.gait.diagnostics import combine_seeds, diagnose, trace_work
+from experiments.gait.free_stream import hold_in_free_stream
+from experiments.gait.tables import write_free_stream, write_results
 from fishrl.envs import KarmanGait
 from fishrl.files import write_whole
-from fishrl.programs.gait import figures, trials
-from fishrl.programs.gait.diagnostics import combine_seeds, diagnose, trace_work
-from fishrl.programs.gait.free_stream import hold_in_free_stream
-from fishrl.programs.gait.tables import write_free_stream, write_results
 from fishrl.programs.program import TaskSettings, program
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.progress import Progress
@@ -133,3 +133,7 @@ def main(settings: TransferSettings) -> None:
         transfer(tried, settings, progress)
     print((Path(settings.folder) / "transfer.md").read_text(encoding="utf-8"))
     print(f"written to {settings.folder}")
+
+
+if __name__ == "__main__":
+    main()

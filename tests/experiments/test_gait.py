@@ -12,18 +12,18 @@ import pytest
 import torch
 from torch import nn
 
+from experiments import transfer
+from experiments.gait.trials import load_trial, make_trial, name_arm
 from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.steering import PolicySteering, save_weights
 from fishrl.modules import LateralLineClassifier
-from fishrl.programs import transfer
-from fishrl.programs.gait.trials import load_trial, make_trial, name_arm
 from fishrl.programs.train import set_up
 from fishrl.programs.train_settings import TRAINING
 from fishrl.training import complete
 from fishrl.training.policies import load_policy
 from tests.envs.conftest import move_kinematically
-from tests.programs.gait.tasks import BRIEF, OVERRIDES, make_task
+from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
 from tests.training.conftest import read_rows
 
 pytestmark = pytest.mark.usefixtures("kinematic")

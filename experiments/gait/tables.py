@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from math import nan
 from typing import Any
 
+from experiments.gait.diagnostics import BALANCE
 from fishrl.pages import write_table
-from fishrl.programs.gait.diagnostics import BALANCE
 from fishrl.programs.statistics import show
 
 #: Columns of each table: heading, entry of ``diagnose``, format.

@@ -11,12 +11,12 @@ import torch
 from tensordict.nn import TensorDictModule
 
 import fishrl.envs.flow_env
+from experiments.gait import trials
+from experiments.gait.trials import Histories, Trial, make_trial, record, run_trial
 from fishrl.envs.changes import StreamSwitches
 from fishrl.envs.streams import Stream
-from fishrl.programs.gait import trials
-from fishrl.programs.gait.trials import Histories, Trial, make_trial, record, run_trial
 from tests.envs.kinematic_solver import KinematicSolver
-from tests.programs.gait.tasks import BRIEF, make_task
+from tests.experiments.gait.tasks import BRIEF, make_task
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from fishrl.programs.gait.diagnostics import (
+from experiments.gait.diagnostics import (
     BALANCE,
     combine_seeds,
     diagnose,
     find_phase,
     trace_work,
 )
-from fishrl.programs.gait.tables import write_free_stream, write_results
-from fishrl.programs.gait.trials import Histories
+from experiments.gait.tables import write_free_stream, write_results
+from experiments.gait.trials import Histories
 from fishrl.programs.statistics import half_width
 
 NUM, FRAMES, SHED = 40, 16, 0.625

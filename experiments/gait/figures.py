@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from matplotlib.patches import Rectangle, Wedge
 
+from experiments.gait.trials import Histories
 from fishrl.envs import KarmanGait
 from fishrl.programs.figures.style import COLOURS, panels
-from fishrl.programs.gait.trials import Histories
 from fishrl.viewer.film import label_axes
 
 _MOST_PATHS = 40

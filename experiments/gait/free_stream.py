@@ -10,11 +10,11 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
+from experiments.gait.diagnostics import BALANCE, list_works, trace_work
+from experiments.gait.trials import Histories, Trial, pick, prolong, run_trial
 from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.modules import PID
-from fishrl.programs.gait.diagnostics import BALANCE, list_works, trace_work
-from fishrl.programs.gait.trials import Histories, Trial, pick, prolong, run_trial
 from fishrl.programs.statistics import half_width
 from fishrl.training.baselines import make_gait_policy
 from fishrl.training.callback import SILENT, Callback

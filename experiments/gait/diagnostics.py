@@ -8,8 +8,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from experiments.gait.trials import WORKS, Histories
 from fishrl.envs import KarmanGait
-from fishrl.programs.gait.trials import WORKS, Histories
 from fishrl.programs.statistics import half_width
 
 #: Nose positions (x behind the flat side, |y|), body lengths, inside the vortex street.

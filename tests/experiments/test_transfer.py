@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from experiments import transfer as program
+from experiments.gait.trials import make_trial
+from experiments.transfer import TransferSettings, transfer
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.streams import Stream
-from fishrl.programs import transfer as program
-from fishrl.programs.gait.trials import make_trial
-from fishrl.programs.transfer import TransferSettings, transfer
-from tests.programs.gait.tasks import BRIEF, make_task
+from tests.experiments.gait.tasks import BRIEF, make_task
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
