@@ -46,7 +46,6 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/locks.py", set()),
     ("fishrl/memory.py", {"torch", "fishrl.limits"}),
     ("fishrl/torch_state.py", {"torch"}),
-    ("fishrl/physics/fast/triton_coupling.py", {"torch", "triton"}),
     # bodies know nothing of flows
     ("fishrl/physics/bodies/", TENSORS | {"fishrl.physics.bodies", "fishrl.physics.lattice"}),
     ("fishrl/physics/", TENSORS | {"fishrl.physics"}),

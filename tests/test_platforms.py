@@ -19,7 +19,7 @@ del select.poll
 import experiments, fishrl
 for package in (fishrl, experiments):
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-        if not module.name.endswith(("__main__", ".triton_coupling")):
+        if not module.name.endswith("__main__"):
             importlib.import_module(module.name)
 
 from experiments.reproduce import alone

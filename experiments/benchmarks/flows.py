@@ -16,14 +16,12 @@ from experiments.benchmarks import measuring
 from experiments.benchmarks.measuring import BenchmarkSettings, Case, repeat
 from fishrl.physics import Boundaries, InPlaceSolver, Scales
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
-from fishrl.physics.storage import Storage
 
 
 def make_solver(
     body_length: int,
     *,
     has_fish: bool,
-    storage: Storage = Storage.FLOAT32,
     boundaries: Boundaries | None = None,
     **options: Any,
 ) -> InPlaceSolver:
@@ -36,7 +34,7 @@ def make_solver(
     changes: Any = {} if has_fish else {"bodies": ()}
     if boundaries:
         changes["boundaries"] = boundaries
-    config = make_swimmer_config(scales, storage=storage, **changes)
+    config = make_swimmer_config(scales, **changes)
     options = {"num_envs": 1, "num_workers": 0} | options
     solver = InPlaceSolver(config=config, frequency=1.0 / scales.period, **options)
     rows = torch.ones(solver.num_envs, dtype=torch.bool, device=solver.device)
@@ -57,7 +55,7 @@ def make_case(solver: InPlaceSolver, label: str, how: str, *, num_flows: int | N
         scope=measuring.FISH if config.bodies else measuring.WALLS,
         advance=partial(solver.advance_, rows=None if is_first.all() else is_first),
         working_set=round(populations * num_flows / solver.num_envs),
-        bytes_per_update=18 * config.storage.dtype.itemsize,
+        bytes_per_update=72,
         facts={"flows": num_flows, "body_length": config.width // 10},
     )
 
@@ -142,13 +140,11 @@ def make_gpu(settings: BenchmarkSettings) -> list[Case]:
         return []
     make = partial(make_solver, settings.body_length // 2, num_envs=64, device="cuda")
     empty, how = make(has_fish=False), "all in one launch"
-    half = make(has_fish=True, storage=Storage.FLOAT16)
     return [
         make_copy("gpu/copy", 64 * empty.config.width * empty.config.height, "cuda"),
         make_kernel_case(empty, "gpu/kernel", how),
         make_case(empty, "gpu/walls", how),
         make_case(make(has_fish=True), "gpu/fish", how),
-        make_case(half, "gpu/fish, half", f"{how}, half precision"),
     ]
 
 

@@ -48,7 +48,6 @@ def compare(ours: Case, theirs: Case) -> Spread:
 GOALS = (
     ("GPU, bulk / copy", "≥ 0.9 ×", "gpu/kernel", "gpu/copy"),
     ("GPU, whole step with fish / copy", "≥ 0.75 ×", "gpu/fish", "gpu/copy"),
-    ("GPU, stored in half / in single precision", "≥ 1.6 ×", "gpu/fish, half", "gpu/fish"),
     ("share of an environment step outside the flow", "≤ 2 %", "outside_flow", "env/policy"),
     ("gradient step, 64 transitions", "≤ 3 ms", "seconds", "train/gradient"),
     ("memory per node", "≤ 45 B", "bytes", "middle/fish"),

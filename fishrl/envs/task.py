@@ -55,7 +55,7 @@ class AbstractTask(Settings, ABC):
         reynolds: Re_f = L^2 / (T nu).
         max_wall_speed: largest speed of the beating tail, nodes per step; sets the period T.
         coupling: how fish and water act on each other: ``bounce-back``, a sharp skin, or the
-            immersed boundary, ``implicit`` or, as in the paper, ``explicit``; see ``Coupling`` and
+            immersed boundary, ``implicit``; see ``Coupling`` and
             the page on resolution.
         domain_bl: width and height of the domain in body lengths.
         wall_margin_bl: smallest distance of a marker from the edge, in body lengths.

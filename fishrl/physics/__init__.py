@@ -38,7 +38,6 @@ from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import Coupling, FlowConfig, FlowParams, FlowState, Sponge
 from fishrl.physics.geometry import Markers
 from fishrl.physics.rollout import estimate_memory, simulate
-from fishrl.physics.storage import Storage
 from fishrl.physics.units import Scales, compute_tau
 
 __all__ = [
@@ -75,7 +74,6 @@ __all__ = [
     "Scales",
     "Section",
     "Sponge",
-    "Storage",
     "Stroke",
     "Strokes",
     "Surging",

@@ -31,7 +31,6 @@ from fishrl.physics.geometry import Markers, Outlines, deform_body, place_marker
 from fishrl.physics.lattice import CX, CY, Q, W
 from fishrl.physics.links import Links, find_links, to_links, to_markers
 from fishrl.physics.rigid_motion import Pair, measure_gain, move_body, report_bodies
-from fishrl.physics.storage import Storage
 from fishrl.physics.surface import Freedom, prescribe_surface, slice_markers
 
 
@@ -44,19 +43,15 @@ class Slots(NamedTuple):
     row_length: int  #: from a node to the next along y
     scrap: Tensor  #: ``[B]`` int64, a slot of each flow that nobody reads
     lattice: Tensor  #: ``[Q, 3]`` float64, c_x, c_y and w of each direction
-    storage: Storage | None  #: format of ``data``
 
     def read(self, x: Tensor, y: Tensor, q: Tensor) -> Tensor:
         """Return outgoing populations q of nodes (x, y), int64 ``[B, ...]``."""
-        values = self.data[self._find(x, y, q)]
-        return values if self.storage is None else self.storage.decode(values)
+        return self.data[self._find(x, y, q)]
 
     def write_(self, x: Tensor, y: Tensor, q: Tensor, values: Tensor, where: Tensor) -> None:
         """Set them ``where`` true."""
         index = torch.where(where, self._find(x, y, q), _widen(self.scrap, x))
-        values = torch.where(where, values, 0.0)
-        stored = values if self.storage is None else self.storage.encode(values)
-        self.data.index_put_((index,), stored)
+        self.data.index_put_((index,), torch.where(where, values, 0.0))
 
     def get_nodes(self, like: Tensor) -> list[Tensor]:
         """Return all populations, nine ``[B, Y, X]`` shaped like ``like``; of ``list_slots``."""
@@ -88,7 +83,6 @@ def list_slots(outgoing: Sequence[Tensor]) -> Slots:
         row_length=width,
         scrap=flow,
         lattice=make_lattice(data.device),
-        storage=None,
     )
 
 

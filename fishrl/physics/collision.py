@@ -28,8 +28,8 @@ class Rates(Settings):
 
     Near tau = 0.5 the flux rate decides stability when vortices are shed in a turn: at 1.2 most
     flows with a fish that turns at the paper's own speed diverge, from 1.6 on hardly any (see the
-    map on the validation page). Larger values, such as Lallemand & Luo's 1.9, leave explicit
-    coupling less margin. The energy rate is theirs; a lower one damps sound more and slows a fish.
+    map on the validation page). The energy rate is that of Lallemand & Luo; a lower one damps
+    sound more and slows a fish.
     """
 
     energy: Annotated[float, Field(gt=0, lt=2)] = 1.64

@@ -4,8 +4,8 @@ Marker l sits at x_l = X + R(angle) (axial, lateral) and moves with V_l = U + (O
 r_l + R u_deform. Fluid and bodies are solved together: with the force solve written as a linear map
 P, g = P (U_d - U*) is linear in every body's (U, Omega), so the new rigid velocities follow from
 one small system and the momentum that a body gains is exactly what the fluid loses. At equal
-density the body's mass cancels against the fluid inside it and the skin is force-free; explicit
-coupling, as the paper writes it, is unstable there (added mass).
+density the body's mass cancels against the fluid inside it and the skin is force-free; with the
+force of the last step, as the paper writes it, the motion is unstable there (added mass).
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.flow import Coupling, FlowConfig
+from fishrl.physics.flow import FlowConfig
 from fishrl.physics.geometry import BodyGeometry
 from fishrl.physics.rigid_motion import RigidUpdate, report_bodies
 from fishrl.physics.surface import Freedom, Pair, prescribe_surface, slice_markers
@@ -32,8 +32,7 @@ def solve_body_force(
     """Find the marker force and the new rigid velocities of all bodies together.
 
     Args:
-        config: configuration of the flows; ``force_solve`` is P. Explicit coupling is the paper's
-            with corrected sign: the body feels minus the force on the fluid.
+        config: configuration of the flows; ``force_solve`` is P.
         params: parameters of each body.
         states: state of each body at the start of the step.
         geometry: geometry of the bodies at this step.
@@ -50,7 +49,6 @@ def solve_body_force(
     residual = surface.velocity - velocity
     right = torch.stack([*residual.unbind(1), *surface.units], 1)
     solution, rest = config.force_solve(geometry.operator, right)
-    is_implicit = config.coupling is Coupling.IMPLICIT
     own = slice_markers(geometry.outlines)
 
     def project(freedom: Freedom, g: Pair) -> Tensor | float:
@@ -63,26 +61,21 @@ def solve_body_force(
         return work[:, own[freedom.body]].sum(-1).double()
 
     # Newton's second law: (inertia + added mass) dU = -F + push. The added mass is the force that
-    # dU itself causes, the projection of the other rows of the force solve; explicit: without it.
+    # dU itself causes, the projection of the other rows of the force solve.
     matrix = [
-        [
-            (project(i, j.respond(solution)) if is_implicit else 0.0)
-            + (i.inertia if i is j else 0.0)
-            for j in surface.freedoms
-        ]
+        [project(i, j.respond(solution)) + (i.inertia if i is j else 0.0) for j in surface.freedoms]
         for i in surface.freedoms
     ]
     slip_force = solution[:, 0], solution[:, 1]
     drive = [-project(free, slip_force) + free.push for free in surface.freedoms]
     changes = eliminate(matrix, drive)
     g, slip = list(solution[:, :2].unbind(1)), list(rest[:, :2].unbind(1))
-    if is_implicit:
-        for freedom, change in zip(surface.freedoms, changes, strict=True):
-            weight = change.to(velocity.dtype)[:, None]
-            for values, rows in ((g, solution), (slip, rest)):
-                for axis, response in enumerate(freedom.respond(rows)):
-                    if response is not None:
-                        values[axis] = values[axis] + weight * response
+    for freedom, change in zip(surface.freedoms, changes, strict=True):
+        weight = change.to(velocity.dtype)[:, None]
+        for values, rows in ((g, solution), (slip, rest)):
+            for axis, response in enumerate(freedom.respond(rows)):
+                if response is not None:
+                    values[axis] = values[axis] + weight * response
     updates = report_bodies(
         states,
         geometry.outlines,

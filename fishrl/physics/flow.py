@@ -21,7 +21,6 @@ from fishrl.physics.delta import SUPPORT
 from fishrl.physics.immersed_boundary import ForceSolve, IterativeForcing
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
 from fishrl.physics.links import MARGIN, MAX_SPACING
-from fishrl.physics.storage import Storage
 from fishrl.physics.units import check_tau
 from fishrl.settings import Settings
 
@@ -32,14 +31,11 @@ class Coupling(Enum):
     ``IMPLICIT``: immersed boundary, force and rigid motion solved together; conserves momentum and
     is stable at equal density.
 
-    ``EXPLICIT``: the paper's eqs. 5 and 6, where the last step's velocity sets the force.
-
     ``BOUNCE_BACK``: the skin is a sharp surface (``bounce_back.py``). More accurate for a thin
     fish; the force solve does not matter.
     """
 
     IMPLICIT = "implicit"
-    EXPLICIT = "explicit"
     BOUNCE_BACK = "bounce-back"
 
     @property
@@ -59,8 +55,8 @@ class Coupling(Enum):
         With ``IMPLICIT`` a body may lack the mass of water of half a node along its outline; see
         "Motion" in the documentation's theory for the measurements.
         """
-        if self is not Coupling.IMPLICIT:
-            return 0.0 if self is Coupling.BOUNCE_BACK else 1.0
+        if self is Coupling.BOUNCE_BACK:
+            return 0.0
         return max(0.0, 1.0 - 0.5 * body.spacing * body.num_markers / body.area)
 
 
@@ -100,8 +96,6 @@ class FlowConfig(Settings):
         sponges: strips of raised viscosity.
         force_solve: method that enforces no slip.
         coupling: how bodies and fluid act on each other, see ``Coupling``.
-        storage: number format of the in-place step's populations; half precision halves the memory
-            traffic, for GPUs (a CPU gains nothing).
     """
 
     width: Annotated[int, Field(ge=4, le=2**31 - 1)]
@@ -115,7 +109,6 @@ class FlowConfig(Settings):
     sponges: tuple[Sponge, ...] = ()
     force_solve: ForceSolve = IterativeForcing()
     coupling: Coupling = Coupling.IMPLICIT
-    storage: Storage = Storage.FLOAT32
 
     def __post_init__(self) -> None:
         check_tau(self.tau)
@@ -168,8 +161,8 @@ class FlowConfig(Settings):
 
     @property
     def num_bytes(self) -> int:
-        """Size of the populations of one flow in bytes."""
-        return Q * self.width * self.height * self.storage.dtype.itemsize
+        """Size of the populations of one flow in bytes, in single precision."""
+        return 4 * Q * self.width * self.height
 
     @property
     def margin(self) -> float:

@@ -98,7 +98,7 @@ def move_body(
     The markers' force also drives the fluid inside the body, whose momentum is exactly the
     displaced mass times the body's velocity: hydro_force = m_f dU/dt - F. For the torque the same
     holds approximately (Feng & Michaelides 2009). The external torque is what the fluid gains and
-    the body beyond the fluid it displaces: zero if free, except in explicit coupling.
+    the body beyond the fluid it displaces: zero if free.
     """
     gain, spin_up = measure_gain(params, state, deformation, update)
     hydro_force = gain - update.force

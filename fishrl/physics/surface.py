@@ -23,7 +23,7 @@ class Freedom(NamedTuple):
     axis: int  #: 0 and 1 for the centre of mass along x and y, 2 for turning
     unit: Pair  #: velocity (x, y) that a unit of it gives all markers, ``[B, N]``; None is zero
     rows: tuple[int | None, int | None]  #: rows of the force solve that hold its right-hand sides
-    #: ``[B]`` mass or moment of inertia; implicit coupling leaves out the fluid's inside
+    #: ``[B]`` mass or moment of inertia; the immersed boundary leaves out the fluid's inside
     inertia: Tensor
     push: Tensor  #: ``[B]`` force or torque in addition to the fluid's
 

@@ -10,7 +10,6 @@ import pytest
 from fishrl.physics import (
     C_START,
     Boundaries,
-    Coupling,
     Cylinder,
     Fish,
     FlowConfig,
@@ -35,7 +34,6 @@ STEEP = Gait(amplitude=0.2, envelope=(0.0, 1.0, 0.0), wavenumber=2 * math.pi)
 FAST = Boundaries(left=NonEquilibrium(velocity=(0.5, 0.0)))
 TIGHT = Strokes(sequence=(replace(C_START.sequence[0], bend=(50.0, 0.0, 0.0)),))
 LIGHT = Cylinder(diameter=16, density_ratio=0.7, motion=Free())
-MARKED = Coupling.IMPLICIT, Coupling.EXPLICIT
 DENSE, FISH = Cylinder(diameter=40, num_markers=500), Fish(body_length=24)
 scale = partial(Scales, body_length=100, reynolds=7000.0)
 flow = partial(FlowConfig, width=128, height=64, tau=0.6)
@@ -58,7 +56,7 @@ fish = partial(Fish, body_length=50)
             lambda: flow(sponges=(Sponge(length=129),)),
             "Sponge of 129 nodes does not fit into 128 x",
         ),
-        *((partial(flow, bodies=(LIGHT,), coupling=c), "give coupling = .*BOUNCE") for c in MARKED),
+        (lambda: flow(bodies=(LIGHT,)), "give coupling = .*BOUNCE"),
         (lambda: flow(sponges=(Sponge(length=65, side=Side.TOP),)), "Sponge of 65 nodes does not"),
         (lambda: flow(boundaries=FAST), "an edge imposes 0.500 nodes per step"),
         (lambda: IterativeForcing(relaxation=2.0), r"relaxation = 2.0: .*stable up to 1.90"),

@@ -1,10 +1,9 @@
-"""Triton's kernels on the pretended device: Inductor's own and those written by hand.
+"""Inductor's Triton kernels on the pretended device.
 
 ``interpret()`` runs them on the host, block by block in numpy (with ``TRITON_INTERPRET=1`` in the
 environment before Triton is imported); blocks are larger than on a GPU, so that there are fewer.
 ``compile_only()`` compiles Inductor's kernels to binaries, which cannot run, and keeps what ptxas
-says of their registers. A process can do one of the two. Kernels written by hand need no more:
-``kernel[grid](...)`` is interpreted, and ``triton.compile`` needs no device.
+says of their registers. A process can do one of the two.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ def _set_up() -> None:
 
 @cache
 def interpret() -> None:
-    """Let ``compile=True`` and kernels written by hand work on the pretended device."""
+    """Let ``compile=True`` work on the pretended device."""
     import device
 
     assert knobs.runtime.interpret, "TRITON_INTERPRET=1 must be set before triton is imported"

@@ -46,7 +46,7 @@ GIVEN: dict[str, dict[str, Any]] = {
 
 def list_settings() -> list[type[Settings]]:
     names = [module.name for module in walk_packages(fishrl.__path__, "fishrl.")]
-    modules = [import_module(n) for n in names if ".fast" not in n]  # which needs triton
+    modules = [import_module(n) for n in names]
     found = {
         f"{module.__name__}.{name}": kind
         for module in modules

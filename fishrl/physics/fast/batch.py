@@ -11,7 +11,6 @@ from fishrl.physics.bodies.state import make_body
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.fast.checks import check_tensor
 from fishrl.physics.fast.flow_memory import FlowData, GroupMemory, carve_memory
-from fishrl.physics.fast.gpu_body_parts import can_use_triton
 from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.fast.part import FlowGroup, copy_tree
 from fishrl.physics.fast.stepper import Stepper
@@ -27,7 +26,6 @@ class FlowBatch:
         device: where everything lives.
         allocate: makes the block of memory, from its size in bytes.
         groups: those that this process reads and advances; None is all.
-        compile: whether the step will be compiled; on a GPU, Triton then couples the bodies.
 
     Attributes:
         flow: everything except the populations, changed in place.
@@ -43,7 +41,6 @@ class FlowBatch:
         device: torch.device,
         allocate: Callable[[int], Tensor],
         groups: range | None = None,
-        compile: bool = False,
     ) -> None:
         config = self._config = configs[0]
         self._size = group_size
@@ -52,20 +49,15 @@ class FlowBatch:
         self.flow, self._omega, self._populations = carve_memory(
             self._fresh,
             self.layout,
-            dtype=config.storage.dtype,
             has_omega_field=bool(config.sponges),
             allocate=allocate,
         )
         self.stepper = Stepper(
-            config,
-            self.layout,
-            pytree.tree_map(lambda t: t[:group_size], self._fresh),
-            uses_triton=compile and can_use_triton(config, device),
+            config, self.layout, pytree.tree_map(lambda t: t[:group_size], self._fresh)
         )
         groups = range(len(configs) // group_size) if groups is None else groups
         self.groups = {
-            number: FlowGroup(self.memory_of(number), config.storage, self.stepper.list_all())
-            for number in groups
+            number: FlowGroup(self.memory_of(number), self.stepper.list_all()) for number in groups
         }
         self.first = self.groups[groups[0]]
 
@@ -126,7 +118,7 @@ class FlowBatch:
         group, own = flow // layout.num_envs, flow % layout.num_envs
         cells = corners + own * layout.flow_length + layout.first_cell
         stored = [self._populations[group, cells + offset] for offset in layout.offsets(0, False)]
-        fluid = compute_macroscopic([self._config.storage.decode(f) for f in stored])
+        fluid = compute_macroscopic(stored)
         values = torch.stack((fluid.rho, fluid.ux, fluid.uy), -1)
         mean = (weights[..., None] * values).sum(1)
         mean = mean.masked_fill(points.isnan().any(-1, keepdim=True), torch.nan)
@@ -135,7 +127,7 @@ class FlowBatch:
     def name_state(self) -> dict[str, list[Tensor]]:
         """Return everything that the future depends on, by name, each in groups of flows.
 
-        ``f0`` to ``f8`` are the incoming populations ``[B, Y, X]`` before an even step, as stored.
+        ``f0`` to ``f8`` are the incoming populations ``[B, Y, X]`` before an even step.
         """
         pairs, _ = pytree.tree_flatten_with_path(self.flow)
         named = {pytree.keystr(path).lstrip("."): [leaf] for path, leaf in pairs}
@@ -147,7 +139,7 @@ class FlowBatch:
         """Restore the tensors of ``name_state``, each of all flows ``[B, ...]``.
 
         Raises:
-            ValueError: for a state of another grid, batch, storage or version.
+            ValueError: for a state of another grid, batch or version.
         """
         own_state = self.name_state()
         for name, own in own_state.items():
@@ -158,7 +150,7 @@ class FlowBatch:
             if got != expected:
                 raise ValueError(
                     f"state '{name}' is {got}, expected {expected}: it was saved by a solver of "
-                    "another grid, batch, storage or version"
+                    "another grid, batch or version"
                 )
         for name, own in own_state.items():
             for part, saved in zip(own, torch.split(state[name], len(own[0])), strict=True):

@@ -25,11 +25,10 @@ from fishrl.physics.flow import FlowConfig
 from fishrl.physics.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.lattice import Q
 from fishrl.physics.step import couple_bodies
-from fishrl.physics.storage import Storage
 
 Tree = TypeVar("Tree", bound=tuple[object, ...])
 Bodies = tuple[tuple[BodyParams, ...], tuple[BodyState, ...]]
-#: Populations of a group as stored, ``[Q]`` int64 offsets of the slots of each outgoing population,
+#: Populations of a group, ``[Q]`` int64 offsets of the slots of each outgoing population,
 #: and ``[B]`` int64 cells of each flow's node (0, 0).
 Places = tuple[Tensor, Tensor, Tensor]
 Skins = tuple[Skin, ...]
@@ -49,7 +48,7 @@ class Grid(NamedTuple):
         """Width and height in nodes."""
         return self.nodes.shape[2], self.nodes.shape[1]
 
-    def list_slots(self, storage: Storage) -> Slots:
+    def list_slots(self) -> Slots:
         """Return all of them; the corner of a flow's ring is scrap."""
         row_length = self.nodes.stride(1)
         return Slots(
@@ -59,7 +58,6 @@ class Grid(NamedTuple):
             row_length=row_length,
             scrap=self.first - (row_length + 1) + self.offsets[0],
             lattice=self.lattice,
-            storage=storage,
         )
 
 
@@ -143,7 +141,7 @@ def make_coupling(
         own = geometry.stencil.index_nodes(row_length)
         nodes = own + first_cell[:, None, None]
         slots = [nodes + offsets[q] for q in range(Q)]
-        fluid = compute_macroscopic([config.storage.decode(data[slot]) for slot in slots])
+        fluid = compute_macroscopic([data[slot] for slot in slots])
         moved, *shares = couple_bodies(config, *bodies, geometry, fluid)
         for total, share in zip(force, shares, strict=True):
             total.index_put_((nodes,), share, accumulate=True)
@@ -154,7 +152,7 @@ def make_coupling(
         whole, part = (force[0][nodes], force[1][nodes]), (shares[0], shares[1])
         increment = compute_force_increment(fluid, whole, rates, config.rates, share=part)
         for slot, values in zip(slots, increment, strict=True):
-            data.index_put_((slot,), config.storage.encode(values), accumulate=True)
+            data.index_put_((slot,), values, accumulate=True)
         for total in force:
             total.index_put_((nodes,), torch.zeros_like(fluid.drho))
         copy_tree(bodies[1], moved)
@@ -174,7 +172,7 @@ def make_skin_parts(
     the skins and move the bodies, find the skins that have moved, and fill the nodes that they have
     passed. Their tensors are the grid, the bodies, their skins before and after a step.
     """
-    device, kinds, storage = sample.clock.device, config.bodies, config.storage
+    device, kinds = sample.clock.device, config.bodies
     places, lattice = find_places(layout, device), make_lattice(device)
     size = config.width, config.height
     # before even and before odd steps
@@ -197,11 +195,11 @@ def make_skin_parts(
         copy_tree(after, locate_skins(kinds, *bodies, grid.size, before))
 
     def reflect(grid: Grid, bodies: Bodies, before: Skins, after: Skins) -> None:
-        slots = grid.list_slots(storage)
+        slots = grid.list_slots()
         copy_tree(bodies[1], bounce_off_bodies_(kinds, *bodies, before, slots, torch.float32))
 
     def uncover(grid: Grid, bodies: Bodies, before: Skins, after: Skins) -> None:
-        uncover_nodes_(kinds, bodies[1], before, after, grid.list_slots(storage))
+        uncover_nodes_(kinds, bodies[1], before, after, grid.list_slots())
 
     # stacked arrays are written at once: each of their parts would be a tensor made in every call
     settings = BODY_SETTINGS | {"cpu": BODY_SETTINGS["cpu"] | {"force_pointwise_cat": True}}

@@ -67,7 +67,6 @@ class Execution:
             group_size=self.group_size,
             device=device,
             allocate=self._allocate,
-            compile=compile,
         )
 
     def _allocate(self, num_bytes: int) -> Tensor:

@@ -28,7 +28,7 @@ class GroupMemory(NamedTuple):
     """A group's own part of the memory: flows that advance together."""
 
     layout: InPlaceLayout  #: layout of the populations
-    populations: Tensor  #: ``[num_slots]`` as stored
+    populations: Tensor  #: ``[num_slots]``
     omega: Tensor  #: ``[B, 1]``, or ``[B, cells]`` where it differs from node to node
     flow: FlowData  #: the flows' numbers
 
@@ -49,7 +49,6 @@ def carve_memory(
     sample: FlowData,
     layout: InPlaceLayout,
     *,
-    dtype: torch.dtype,
     has_omega_field: bool,
     allocate: Callable[[int], Tensor],
 ) -> tuple[FlowData, Tensor, Tensor]:
@@ -58,7 +57,6 @@ def carve_memory(
     Args:
         sample: numbers of all flows, for their shapes.
         layout: layout of one group's populations.
-        dtype: type of stored populations.
         has_omega_field: whether the relaxation rate differs from node to node.
         allocate: makes the block, from its size in bytes; processes can share it.
     """
@@ -67,10 +65,10 @@ def carve_memory(
     num_omegas = num_envs * (layout.flow_length if has_omega_field else 1)
     slots = num_envs // layout.num_envs, layout.num_slots
     # populations begin at a cache line: loads that cross it take a tenth of a step
-    sizes = [8 * round_up(sum(counts)), 4 * round_up(num_omegas), dtype.itemsize * prod(slots)]
+    sizes = [8 * round_up(sum(counts)), 4 * round_up(num_omegas), 4 * prod(slots)]
     doubles, singles, stored = torch.split(allocate(sum(sizes)), sizes)
     parts = torch.split(doubles.view(torch.float64)[: sum(counts)], counts)
     shaped = [part.view(leaf.shape) for part, leaf in zip(parts, leaves, strict=True)]
     flow: FlowData = pytree.tree_unflatten(shaped, form)
     omega = singles.view(torch.float32)[:num_omegas].view(num_envs, -1)
-    return flow, omega, stored.view(dtype).view(slots)
+    return flow, omega, stored.view(torch.float32).view(slots)

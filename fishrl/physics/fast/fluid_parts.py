@@ -24,7 +24,7 @@ def make_collision(config: FlowConfig) -> Part:
     Its tensors are the clock ``[B]``, omega ``[B, 1]`` or ``[B, cells]``, and all cells, rings
     included: one loop over contiguous memory.
     """
-    storage, rates = config.storage, config.rates
+    rates = config.rates
 
     def collect(memory: GroupMemory, parity: int) -> tuple[Tensor, Tensor, list[Tensor]]:
         return memory.flow.clock, memory.omega, memory.cells(parity)
@@ -32,9 +32,9 @@ def make_collision(config: FlowConfig) -> Part:
     def act(clock: Tensor, omega: Tensor, f: list[Tensor]) -> None:
         """Count the step and write each population to the opposite one's slot."""
         clock.add_(1.0)
-        collided = collide_mrt([storage.decode(g) for g in f], omega, rates)
+        collided = collide_mrt(f, omega, rates)
         for q, g in enumerate(collided):
-            f[OPPOSITE[q]].copy_(storage.encode(g))
+            f[OPPOSITE[q]].copy_(g)
 
     # on a GPU, blocks and warps are chosen by time: 174 instead of 208 us on an H200
     return Part("collision", collect, act, {"cuda": {"max_autotune_pointwise": True}})
@@ -76,7 +76,7 @@ def make_edges(
     config: FlowConfig, sides: Sequence[tuple[Side, Boundary]], device: torch.device
 ) -> Part:
     """Return the part that sets the edges ``sides``, which do not depend on each other."""
-    storage, profiles = config.storage, []
+    profiles = []
     for side, _ in sides:
         num_nodes = config.height if side.value[0] else config.width
         profile = config.boundaries.evaluate_profile(side, num_nodes)
@@ -99,12 +99,11 @@ def make_edges(
         """Set the populations that enter at each edge, at the present speed of the stream."""
         speed = compute_stream_speed(params, clock).float()[:, None]
         for (side, boundary), views in zip(sides, edges, strict=True):
-            neighbour, outgoing = (
-                [storage.decode(f) for f in each] for each in (views.neighbour, views.outgoing)
+            entering = boundary.compute_edge(
+                side, views.neighbour, views.outgoing, speed * views.profile
             )
-            entering = boundary.compute_edge(side, neighbour, outgoing, speed * views.profile)
             for q, values in entering.items():
-                views.edge[q].copy_(storage.encode(values))
+                views.edge[q].copy_(values)
 
     # on a GPU the stream's speed is not worth a kernel of its own
     settings = {"cuda": {"realize_reads_threshold": 16, "realize_opcount_threshold": 1000}}
@@ -112,18 +111,17 @@ def make_edges(
     return Part(name, collect, act, settings, any_grid=True)
 
 
-def make_check(config: FlowConfig, is_fine: Tensor) -> Part:
+def make_check(is_fine: Tensor) -> Part:
     """Return the part that writes to ``is_fine`` ``[B]`` bool which flows have not diverged.
 
     Those whose density or speed is out of range or not finite at a node have.
     """
-    storage = config.storage
 
     def collect(memory: GroupMemory, parity: int) -> tuple[list[Tensor], Tensor]:
         return memory.incoming(parity), is_fine
 
     def act(f: list[Tensor], is_fine: Tensor) -> None:
-        drho, jx, jy = compute_moments([storage.decode(g) for g in f])
+        drho, jx, jy = compute_moments(f)
         limit = MAX_SPEED * (drho + 1.0)
         # comparisons with NaN are false, so a broken flow is never fine
         is_node_fine = (jx * jx + jy * jy < limit * limit) & (drho.abs() < 1.0)

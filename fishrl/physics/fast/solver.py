@@ -309,11 +309,11 @@ class InPlaceSolver:
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""
         groups = self._batch.groups.values()
-        return torch.cat([torch.stack(group.read(), 1) for group in groups])
+        return torch.cat([torch.stack(group.nodes, 1) for group in groups])
 
     def macroscopic(self) -> tuple[Tensor, Tensor]:
         """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
-        fluids = [compute_macroscopic(group.read()) for group in self._batch.groups.values()]
+        fluids = [compute_macroscopic(group.nodes) for group in self._batch.groups.values()]
         velocities = [torch.stack((fluid.ux, fluid.uy), 1) for fluid in fluids]
         return torch.cat([fluid.rho for fluid in fluids]), torch.cat(velocities)
 
@@ -357,7 +357,7 @@ class InPlaceSolver:
     def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
         """Restore ``state_dict()`` exactly, also if saved on another device.
 
-        ValueError for a state of another grid, batch, storage or version.
+        ValueError for a state of another grid, batch or version.
         """
         self._batch.load_state_(state)
         self._unplaced = None

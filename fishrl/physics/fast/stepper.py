@@ -19,7 +19,6 @@ from fishrl.physics.fast.body_parts import (
 )
 from fishrl.physics.fast.flow_memory import FlowData
 from fishrl.physics.fast.fluid_parts import make_check, make_collision, make_crossing, make_edges
-from fishrl.physics.fast.gpu_body_parts import make_triton_parts
 from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.fast.part import FlowGroup, Part
 from fishrl.physics.flow import Coupling, FlowConfig
@@ -30,8 +29,7 @@ _GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 class Stepper:
     """The parts of a step, shared by all groups.
 
-    ``sample`` holds the numbers of one group's flows, for their shapes and types. With
-    ``uses_triton``, Triton's kernels couple the bodies.
+    ``sample`` holds the numbers of one group's flows, for their shapes and types.
 
     Attributes:
         parts: in the order in which they run.
@@ -39,9 +37,7 @@ class Stepper:
         locate: bodies that stay still, or sharp skins, once before many steps.
     """
 
-    def __init__(
-        self, config: FlowConfig, layout: InPlaceLayout, sample: FlowData, *, uses_triton: bool
-    ) -> None:
+    def __init__(self, config: FlowConfig, layout: InPlaceLayout, sample: FlowData) -> None:
         device = self._device = sample.clock.device
         self.locate: Part | None = None
         self.parts: list[Part] = [make_collision(config)]
@@ -49,19 +45,15 @@ class Stepper:
             self.locate, parts = make_skin_parts(config, layout, sample)
             self.parts += parts
         elif config.bodies:
-            is_kept = config.is_still or uses_triton
-            geometry = keep_geometry(config, sample) if is_kept else None
-            if geometry and config.is_still:
+            geometry = keep_geometry(config, sample) if config.is_still else None
+            if geometry:
                 self.locate = make_location(config, geometry)
-            if geometry and uses_triton:
-                self.parts += make_triton_parts(config, layout, geometry)
-            else:
-                self.parts.append(make_coupling(config, layout, geometry, device))
+            self.parts.append(make_coupling(config, layout, geometry, device))
         if config.boundaries.list_crossings(config.height, config.width):
             self.parts.append(make_crossing(config))
         self.parts += [make_edges(config, sides, device) for sides in config.boundaries.in_order()]
         self._is_fine = torch.zeros(layout.num_envs, dtype=torch.bool, device=device)
-        self.check = make_check(config, self._is_fine)
+        self.check = make_check(self._is_fine)
 
     def list_all(self, *, with_check: bool = True) -> list[Part]:
         """Return all parts: those of a step, the one that locates still bodies, the check."""

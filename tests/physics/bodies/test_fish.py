@@ -14,7 +14,6 @@ from fishrl.physics.cases import PERIODIC
 from fishrl.physics.collision import compute_moments
 from fishrl.physics.diagnostics import compute_area
 from fishrl.physics.flow import (
-    Coupling,
     FlowConfig,
     FlowState,
     make_params,
@@ -225,20 +224,6 @@ def test_muscle_power_equals_total_power_on_the_fluid_when_the_fish_is_free() ->
     # the lateral part misses only the work of -H/I against a torque that is zero
     assert float(body.lateral_work) == pytest.approx(float(body.work), rel=1e-6)
     assert float(body.work) > 0
-
-
-def test_the_papers_explicit_coupling_runs_where_the_body_is_heavy() -> None:
-    fish = Fish(body_length=24, density_ratio=16.0)
-    config = make_tank(bodies=(fish,), coupling=Coupling.EXPLICIT)
-    state = run(config, make_fish_body(), 60)
-    before, state = state.bodies[0], step(state, config)
-    after = state.bodies[0]
-    # m_s dU = -F with the whole mass; less the displaced one it would be the implicit coupling
-    gain = fish.density_ratio * fish.area * (after.velocity - before.velocity)
-    torch.testing.assert_close(gain, -after.force, rtol=1e-9, atol=0)
-    body = advance(state, config, 239).bodies[0]
-    assert float(body.velocity.norm()) < 0.05
-    assert float(body.position[0, 0]) < 40.3  # it swims forward, facing -x
 
 
 def test_a_bent_fish_turns_without_a_torque_from_outside() -> None:

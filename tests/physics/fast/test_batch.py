@@ -3,11 +3,11 @@
 import pytest
 import torch
 
-from fishrl.physics import FlowConfig, InPlaceSolver, Storage
+from fishrl.physics import FlowConfig, InPlaceSolver
 
 
-def make_solver(storage: Storage = Storage.FLOAT32, flows_per_launch: int = 1) -> InPlaceSolver:
-    config = FlowConfig(width=12, height=9, tau=0.6, storage=storage)
+def make_solver(flows_per_launch: int = 1) -> InPlaceSolver:
+    config = FlowConfig(width=12, height=9, tau=0.6)
     solver = InPlaceSolver(
         config=config, num_envs=4, compile=False, flows_per_launch=flows_per_launch
     )
@@ -16,10 +16,9 @@ def make_solver(storage: Storage = Storage.FLOAT32, flows_per_launch: int = 1) -
     return solver
 
 
-@pytest.mark.parametrize("storage", Storage, ids=lambda s: s.name)
 @pytest.mark.parametrize("flows_per_launch", [1, 2])
-def test_at_a_node_the_flow_is_that_of_the_node(storage: Storage, flows_per_launch: int) -> None:
-    solver = make_solver(storage, flows_per_launch)
+def test_at_a_node_the_flow_is_that_of_the_node(flows_per_launch: int) -> None:
+    solver = make_solver(flows_per_launch)
     solver.advance_(2)
     points = torch.tensor([[3.0, 4.0], [11.0, 8.0], [0.0, 0.0]]).double().expand(4, 3, 2)
     density, velocity = solver.sample(points)

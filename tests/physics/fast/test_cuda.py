@@ -22,7 +22,6 @@ from fishrl.physics import Cylinder, Fish, FlowConfig, InPlaceSolver
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.fast.stepper import Stepper
-from fishrl.physics.storage import Storage
 from tests.physics.flows import start_solver
 
 IS_PRETENDED = "device" in sys.modules
@@ -34,15 +33,15 @@ pytestmark = [
     pytest.mark.skipif(find_spec("triton") is None, reason="needs the extra triton"),
 ]
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
-#: What swims or lies in two flows, where its centre and its nose are, and how populations are kept.
+#: What swims or lies in two flows, and where its centre and its nose are.
 FISH = [[40.3, 30.2], [38.0, 31.7]], [math.pi, 2.8]
 BEHIND = [[68.0, 24.0], [67.3, 37.0]], [math.pi, 3.0]
 CASES = {
-    "cylinder": ([(Cylinder(diameter=10), *FISH)], Storage.FLOAT16),
-    "free and commanded fish": (
-        [(Fish(body_length=20, motion=Free()), *FISH), (Fish(body_length=20), *BEHIND)],
-        Storage.FLOAT32,
-    ),
+    "cylinder": [(Cylinder(diameter=10), *FISH)],
+    "free and commanded fish": [
+        (Fish(body_length=20, motion=Free()), *FISH),
+        (Fish(body_length=20), *BEHIND),
+    ],
 }
 #: Kernels of one step, launched one after the other.
 MOST_LAUNCHES = {"cylinder": 16, "free and commanded fish": 22}
@@ -50,10 +49,8 @@ LONG = [pytest.mark.slow] if IS_PRETENDED else []
 REPLAY = Stepper._replay_  # recorded here, and nowhere else on the pretended device
 
 
-def make_solver(
-    name: str, *, device: str, compile: bool, storage: Storage | None = None
-) -> InPlaceSolver:
-    bodies, own_storage = CASES[name]
+def make_solver(name: str, *, device: str, compile: bool) -> InPlaceSolver:
+    bodies = CASES[name]
     config = FlowConfig(
         width=90,
         height=60,
@@ -61,7 +58,6 @@ def make_solver(
         stream_speed=0.03,
         bodies=tuple(body for body, *_ in bodies),
         boundaries=Boundaries(left=STREAM, right=OpenEdge(), bottom=STREAM, top=STREAM),
-        storage=storage or own_storage,
     )
     where = (
         torch.tensor([body[i] for body in bodies], dtype=torch.float64).transpose(0, 1)
@@ -93,25 +89,18 @@ def compute_error(there: Tensor, here: Tensor) -> float:
 @pytest.mark.usefixtures("cache")
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize(
-    ("parts", "storage", "tolerance"),
+    ("parts", "tolerance"),
     [
-        pytest.param([4], None, 1e-6, id="4 steps"),
-        pytest.param([80, 80, 80], Storage.FLOAT32, 1e-4, id="240 steps", marks=LONG),
+        pytest.param([4], 1e-6, id="4 steps"),
+        pytest.param([80, 80, 80], 1e-4, id="240 steps", marks=LONG),
     ],
 )
 def test_a_flow_on_a_gpu_equals_the_flow_on_a_cpu(
-    name: str, parts: list[int], storage: Storage | None, tolerance: float
+    name: str, parts: list[int], tolerance: float
 ) -> None:
-    """In parts, so that graphs are recorded and replayed.
-
-    Many steps are in single precision: round-off grows to whole numbers of half precision.
-    """
-    if (storage or CASES[name][1]) is Storage.FLOAT16:
-        # Neighbours in float16 are 2^-10 of their size apart, so one rounding errs by up to 2^-11;
-        # the kernel rounds a node's force once, tensor operations once for each marker in reach.
-        tolerance = 2.0**-11
-    there = make_solver(name, device="cuda", compile=True, storage=storage)
-    here = make_solver(name, device="cpu", compile=False, storage=storage)
+    """In parts, so that graphs are recorded and replayed."""
+    there = make_solver(name, device="cuda", compile=True)
+    here = make_solver(name, device="cpu", compile=False)
     for num_steps in parts:
         there.advance_(num_steps)
         here.advance_(num_steps)

@@ -1,4 +1,4 @@
-"""The in-place step itself: half precision, memory, and its compiled code."""
+"""The in-place step itself: memory, and its compiled code."""
 
 import logging
 import os
@@ -21,8 +21,8 @@ from torch._inductor import config as inductor_config
 from torch._inductor.cpp_builder import cpp_compiler_search
 from torch._inductor.graph import GraphLowering
 
-from fishrl.physics import Coupling, Fish, FlowConfig, InPlaceSolver, Storage
-from fishrl.physics.boundaries import Boundaries, NoSlip
+from fishrl.physics import Fish, FlowConfig, InPlaceSolver
+from fishrl.physics.boundaries import Boundaries, NoSlip, Side
 from fishrl.physics.cache_key import make_key
 from fishrl.physics.collision import Rates
 from fishrl.physics.fast import compiled as compiled_module
@@ -37,35 +37,13 @@ from tests.physics.flows import make_tank
 OUTFLOW = CHANGES["pinned outflow"]
 
 
-def test_half_precision_stays_near_single_precision_and_is_restored_exactly() -> None:
-    """Eleven bits of the deviation: a hundredth of the fastest water is ample."""
-    single, half = (
-        make_solver(make_tank(**OUTFLOW, storage=each), flows_per_launch=3) for each in Storage
-    )
-    for solver in (single, half):
-        solver.advance_(200)
-    assert half.state_dict()["f0"].dtype == torch.float16
-    u, exact = half.macroscopic()[1], single.macroscopic()[1]
-    assert 0.0 < float((u - exact).abs().max()) < 0.01 * float(exact.abs().max())
-    assert float((half.body.position - single.body.position).abs().max()) < 0.01
-    other = make_solver(half.config, flows_per_launch=3)
-    other.set_populations_(half.populations())
-    assert torch.equal(other.populations(), half.populations())
-    other.load_state_dict(half.state_dict())
-    for each in (half, other):
-        each.advance_(2)
-    assert torch.equal(other.populations(), half.populations())
-    assert torch.equal(other.body.position, half.body.position)
-
-
 @pytest.mark.compile
-@pytest.mark.parametrize("storage", Storage)
 def test_the_bulk_pass_is_one_loop_of_nine_loads_and_nine_stores(
-    storage: Storage, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     written: list[str] = []
     monkeypatch.setattr(GraphLowering, "save_output_code", written.append)
-    solver = make_solver(make_tank(**OUTFLOW, storage=storage), slice(1))
+    solver = make_solver(make_tank(**OUTFLOW), slice(1))
     with inductor_config.patch(force_disable_caches=True):
         part, (even, _) = solver.list_calls()[0]
         compile_inplace(part.run, even)
@@ -282,8 +260,6 @@ OTHERS: list[dict[str, Any]] = [
     {"width": 112},
     {"height": 80},
     *({"rates": Rates(**{name: 1.2})} for name in ("energy", "flux")),
-    {"storage": Storage.FLOAT16},
-    {"coupling": Coupling.EXPLICIT},
     {"force_solve": IterativeForcing(relaxation=1.1)},
 ]
 
@@ -350,8 +326,8 @@ def test_the_key_of_a_part_has_all_that_its_function_closes_over(
             monkeypatch.setattr(function, "__module__", "fishrl.physics.toy")
         return Part("toy", lambda memory, parity: (), act, {}).key
 
-    assert find_key(1.0, Storage.FLOAT16) == find_key(1.0, Storage.FLOAT16) is not None
-    assert len({find_key(1.0), find_key(1.0 + 1e-15), find_key(Storage.FLOAT16), find_key()}) == 4
+    assert find_key(1.0, Side.TOP) == find_key(1.0, Side.TOP) is not None
+    assert len({find_key(1.0), find_key(1.0 + 1e-15), find_key(Side.TOP), find_key()}) == 4
     for foreign in (square, torch.ones(1), object(), Magnetic(), Magnetic):
         assert find_key(foreign) is None, foreign
     assert Part("toy", lambda memory, parity: (), square, {}).key is None
