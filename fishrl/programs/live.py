@@ -9,7 +9,7 @@ from torchrl.envs import TransformedEnv
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.scene import Frame
 from fishrl.training import Callback
-from fishrl.viewer import Drawing, Server, ViewerSettings, make_scene, name_flows, start_drawing
+from fishrl.viewer import Drawing, Server, ViewerSettings, make_env_scene, name_flows, start_drawing
 from fishrl.viewer.recording import Recorder
 
 
@@ -39,7 +39,7 @@ class LiveView(Callback):
         if not settings.live:
             return
         self._base: FlowEnv = env.base_env
-        scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
+        scene = make_env_scene(env, field=settings.field, field_limit=settings.field_limit)
         self._recorder = Recorder(
             self._base, scene, frames_per_T=settings.frames_per_T, give=self._draw
         )

@@ -25,7 +25,7 @@ from fishrl.viewer import (
     check_folder,
     find_recording,
     has_screen,
-    make_scene,
+    make_env_scene,
     name_flows,
     open_recording,
     record_episodes,
@@ -103,7 +103,7 @@ def record(settings: ViewConfig, *, save: Path, url: str | None, progress: Callb
     with ExitStack() as stack:
         env = settings.make_env(task, recognition, num_envs=len(flows), progress=progress)
         stack.callback(env.close)
-        scene = make_scene(
+        scene = make_env_scene(
             env,
             field=settings.field,
             field_limit=settings.field_limit,

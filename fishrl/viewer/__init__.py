@@ -1,4 +1,4 @@
-"""Flows drawn with rerun, which is imported on use: recordings in files, and live views."""
+"""Recordings, films and live views of flows; rerun is imported on use."""
 
 from fishrl.viewer.blueprint import make_blueprint
 from fishrl.viewer.drawing import TIMELINE, Drawing
@@ -10,7 +10,7 @@ from fishrl.viewer.files import (
     write_screenshot,
 )
 from fishrl.viewer.process import Server, has_screen
-from fishrl.viewer.recording import Recording, make_scene, name_flows, record_episodes
+from fishrl.viewer.recording import Recording, make_env_scene, name_flows, record_episodes
 from fishrl.viewer.settings import ViewerSettings
 
 __all__ = [
@@ -23,7 +23,7 @@ __all__ = [
     "find_recording",
     "has_screen",
     "make_blueprint",
-    "make_scene",
+    "make_env_scene",
     "name_flows",
     "open_recording",
     "record_episodes",

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from fishrl.envs.scene import Choice, Panel, Scene
-from fishrl.viewer.drawing import LEGEND, TIMELINE, name_flow, name_panel
+from fishrl.viewer.drawing import LEGEND, TIMELINE, make_flow_path, make_plot_path
 
 #: Length of the time window of live plots.
 LIVE_WINDOW_T = 20.0
 
 
 def make_blueprint(scene: Scene, flows: Mapping[int, str], *, is_live: bool = False) -> Any:
-    """Return rerun's blueprint of a scene, given the titles of its flows by index."""
+    """Return the rerun blueprint of a scene; ``flows`` are the titles of its flows by index."""
     import rerun.blueprint as rrb
 
     tabs = [_lay_out(rrb, scene, flow, title, is_live) for flow, title in flows.items()]
@@ -25,7 +25,7 @@ def make_blueprint(scene: Scene, flows: Mapping[int, str], *, is_live: bool = Fa
 
 
 def _lay_out(rrb: Any, scene: Scene, flow: int, title: str, is_live: bool) -> Any:
-    root = name_flow(flow)
+    root = make_flow_path(flow)
     margin = 0.06 * scene.width  # for the axes
     world = rrb.Spatial2DView(
         origin=f"{root}/world",
@@ -68,10 +68,10 @@ def _make_plot(rrb: Any, root: str, panel: Panel | Choice, is_live: bool) -> Any
         end=rrb.TimeRangeBoundary.cursor_relative(seconds=0.0),
     )
     return rrb.TimeSeriesView(
-        origin=f"{root}/{name_panel(panel)}",
+        origin=make_plot_path(root, panel),
         name=panel.name,
         axis_y=None if span is None else rrb.ScalarAxis(range=span),
-        # one line is named by the plot
+        # the title of the plot names a single line
         plot_legend=rrb.PlotLegend(visible=isinstance(panel, Choice) or len(panel.series) > 1),
         time_ranges=window if is_live else None,
     )

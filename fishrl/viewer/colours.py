@@ -1,4 +1,4 @@
-"""Colours of fields, of values of marks and of lines; distances of ticks."""
+"""Colours of fields, marks and lines; round limits and tick distances."""
 
 from math import floor, log10
 
@@ -6,10 +6,9 @@ import numpy as np
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
-#: Colour maps of matplotlib: from blue over white to red, from purple over white to green, and from
-#: white to blue.
+#: Colour maps of matplotlib: blue-white-red, purple-white-green and white-blue.
 RED_BLUE, PURPLE_GREEN, WHITE_BLUE = "RdBu_r", "PRGn", "Blues"
-#: Colours of lines in plots, by Okabe and Ito, which colour-blind readers can distinguish.
+#: Colours of lines in plots, mostly of Okabe and Ito: distinguishable for colour-blind readers.
 LINES = (
     (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (230, 159, 0),
     (127, 63, 191), (110, 110, 110),
@@ -32,12 +31,12 @@ def paint(levels: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
     return painted
 
 
-def round_up(value: float, steps: tuple[float, ...] = _NICE_STEPS) -> float:
-    """Return the next round number: one of ``steps`` times a power of ten."""
+def round_limit(value: float, steps: tuple[float, ...] = _NICE_STEPS) -> float:
+    """Return the least round number >= ``value``: one of ``steps`` times a power of ten."""
     scale = 10.0 ** floor(log10(value))
     return next(step * scale for step in steps if step * scale >= value * (1 - 1e-9))
 
 
 def space_ticks(length: float) -> float:
-    """Return a distance of ticks, 1, 2 or 5 times a power of ten, for at most six in a length."""
-    return round_up(length / 6.0, (1.0, 2.0, 5.0, 10.0))
+    """Return a tick distance, 1, 2 or 5 times a power of ten, for about six ticks in a length."""
+    return round_limit(length / 6.0, (1.0, 2.0, 5.0, 10.0))

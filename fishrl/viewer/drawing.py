@@ -7,7 +7,7 @@ The only timeline is ``sim_time``, on which one second is one period T.
 import io
 import logging
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
 from typing import Any
 
@@ -32,7 +32,7 @@ from fishrl.viewer.settings import FieldFormat
 logger = logging.getLogger(__name__)
 
 TIMELINE = "sim_time"
-#: Entity of the legends, which all flows share.
+#: Entity path of the legends, which all flows share.
 LEGEND = "legend"
 _LEGEND_SIZE = (256, 12)
 _LEGAL, _CHOSEN = (120, 170, 130), (230, 159, 0)
@@ -41,22 +41,26 @@ _THIN = -0.5
 Points = NDArray[np.float32]
 
 
-def name_flow(flow: int) -> str:
-    """Return the entity below which a flow is drawn."""
+def make_flow_path(flow: int) -> str:
+    """Return the rerun entity path of a flow."""
     return f"flow_{flow}"
 
 
-def name_panel(panel: Panel | Choice) -> str:
-    """Return the entity below a flow's that a plot shows."""
+def make_plot_path(root: str, panel: Panel | Choice) -> str:
+    """Return the rerun entity path of a plot of the flow at ``root``."""
     words = "".join(letter if letter.isalnum() else " " for letter in panel.name).split()
-    return "plots/" + "_".join(words)
+    return f"{root}/plots/{'_'.join(words)}"
 
 
 class Drawing:
-    """Flows of one task, drawn frame by frame into a stream that goes to a file or a viewer.
+    """Draw flows of one task, frame by frame, into a rerun stream.
 
-    ``stream`` is rerun's ``RecordingStream`` with its sinks, ``flows`` the titles of the flows by
-    index; with ``is_live`` it goes to a viewer too, which may end earlier.
+    Args:
+        stream: a ``rerun.RecordingStream`` with its sinks.
+        scene: what to draw.
+        flows: titles of the flows, by index.
+        field_format: see ``ViewerSettings``.
+        is_live: the stream also goes to a viewer, which may close before the stream does.
     """
 
     def __init__(
@@ -72,11 +76,11 @@ class Drawing:
 
         self.stream, self.scene, self.field_format = stream, scene, field_format
         self._rerun, self._is_live, self._log = rerun, is_live, stream.log
-        self._trails: dict[tuple[int, str], deque[tuple[float, Points]]] = {}
+        self._trails: dict[str, deque[tuple[float, Points]]] = {}
         self._before: dict[int, Frame] = {}
         self._draw_legends()
         for flow, title in flows.items():
-            self._draw_constants(name_flow(flow), title)
+            self._draw_constants(make_flow_path(flow), title)
 
     def close(self) -> None:
         """Flush and end the stream."""
@@ -90,32 +94,27 @@ class Drawing:
 
     def draw(self, flow: int, frame: Frame) -> None:
         """Draw a moment of a flow, given its index."""
-        rr, scene, root = self._rerun, self.scene, name_flow(flow)
+        rr, scene, root = self._rerun, self.scene, make_flow_path(flow)
+        world = f"{root}/world"
         self.stream.set_time(TIMELINE, duration=frame.time)
-        shown = scene.field
-        if shown.key in frame.values:
-            values = _to_numpy(frame.values[shown.key].flip(-2))
-            image = _encode(rr, quantise(values, shown.low, shown.limit), shown, self.field_format)
-            self._log(f"{root}/world/{shown.key}", image)
         place, text = (0.5 * scene.width, -0.03 * scene.width), f"t = {frame.time:.2f} T"
         if frame.ending is not None:
             text = f"{text}: {frame.ending.words}"
         clock = rr.Points2D([place], radii=0.0, colors=[_RIM], labels=[text])
-        self._log(f"{root}/world/clock", clock)
-        for trail in scene.trails:
-            if trail.key in frame.values:
-                self._draw_trail(flow, frame, trail)
-        for curve in scene.curves:
-            if curve.key in frame.values:
-                self._draw_curve(root, curve, frame.values[curve.key])
-        for marks in scene.marks:
-            if marks.key in frame.values:
-                self._draw_marks(root, marks, frame.values)
-        for arrow in scene.arrows:
-            if arrow.key in frame.values:
-                self._draw_arrow(root, arrow, frame.values)
+        self._log(f"{world}/clock", clock)
+        drawn: tuple[tuple[Sequence[Any], Callable[[str, Any, Frame], None]], ...] = (
+            ([scene.field], self._draw_field),
+            (scene.trails, self._draw_trail),
+            (scene.curves, self._draw_curve),
+            (scene.marks, self._draw_marks),
+            (scene.arrows, self._draw_arrow),
+        )
+        for parts, draw in drawn:
+            for part in parts:
+                if part.key in frame.values:
+                    draw(world, part, frame)
         for panel in scene.panels:
-            path = f"{root}/{name_panel(panel)}"
+            path = make_plot_path(root, panel)
             if isinstance(panel, Choice):
                 self._draw_choice(path, panel, frame)
             else:
@@ -123,32 +122,37 @@ class Drawing:
         self._before[flow] = frame
 
     def _place(self, points: Tensor) -> Points:
-        """Turn node coordinates ``[..., 2]`` (y up) into picture coordinates (y down).
+        """Return picture coordinates (y down) of node coordinates ``[..., 2]`` (y up).
 
-        Pixel centres are at one half.
+        Pixel centres lie at half-integers.
         """
         x, y = points.float().unbind(-1)
         return torch.stack((x + 0.5, self.scene.height - 0.5 - y), -1).cpu().numpy()
 
-    def _draw_curve(self, root: str, curve: Curve, points: Tensor) -> None:
-        placed = self._place(points)
+    def _draw_field(self, world: str, field: Field, frame: Frame) -> None:
+        values = _to_numpy(frame.values[field.key].flip(-2))
+        levels = quantise(values, field.low, field.limit)
+        self._log(f"{world}/{field.key}", _encode(self._rerun, levels, field, self.field_format))
+
+    def _draw_curve(self, world: str, curve: Curve, frame: Frame) -> None:
+        placed = self._place(frame.values[curve.key])
         lines, width = [placed], 0.35
         if curve.is_closed:
-            # lines from side to side fill the body: rerun has no filled polygon in two dimensions
+            # lines from side to side fill the body: rerun has no filled 2-D polygon
             half = len(placed) // 2
             ribs = np.stack((placed[1:half], placed[: len(placed) - half : -1]), 1)
             lines = [np.concatenate((placed, placed[:1])), *ribs]
-            # so wide that neighbouring ribs touch
+            # wide enough for neighbouring ribs to touch
             gaps = np.linalg.norm(np.diff(placed, axis=0), axis=1)
             width = max(width, 30.0 * float(np.median(gaps)) / self.scene.body_length)
         shape = self._make_lines(lines, curve.colour, width, curve.order)
-        self._log(f"{root}/world/{curve.key}", shape)
+        self._log(f"{world}/{curve.key}", shape)
 
-    def _draw_marks(self, root: str, marks: Marks, values: Mapping[str, Tensor]) -> None:
-        points = self._place(values[marks.key].reshape(-1, 2))
+    def _draw_marks(self, world: str, marks: Marks, frame: Frame) -> None:
+        points = self._place(frame.values[marks.key].reshape(-1, 2))
         colours = np.tile(np.array(marks.colour, np.uint8), (len(points), 1))
         if marks.value is not None:
-            signals = _to_numpy(values[marks.value].reshape(-1))
+            signals = _to_numpy(frame.values[marks.value].reshape(-1))
             colours = paint(quantise(signals, -marks.limit, marks.limit), PURPLE_GREEN)
         rims = np.tile(np.array(_RIM, np.uint8), (len(points), 1))
         discs = self._rerun.Points2D(
@@ -157,18 +161,18 @@ class Drawing:
             colors=np.concatenate((rims, colours)),
             draw_order=6.0,
         )
-        self._log(f"{root}/world/{marks.key}", discs)
+        self._log(f"{world}/{marks.key}", discs)
         if marks.reach > 0.0:
             angle = np.linspace(0.0, 2.0 * np.pi, 49)
             circle = marks.reach * np.stack((np.cos(angle), np.sin(angle)), 1)
             circles = [(point + circle).astype(np.float32) for point in points]
             shape = self._make_lines(circles, marks.colour, 0.6, 2.0)
-            self._log(f"{root}/world/{marks.key}_reach", shape)
+            self._log(f"{world}/{marks.key}_reach", shape)
 
-    def _draw_arrow(self, root: str, arrow: Arrow, values: Mapping[str, Tensor]) -> None:
-        vector = values[arrow.key]
-        x, y = (arrow.scale * vector).tolist()
+    def _draw_arrow(self, world: str, arrow: Arrow, frame: Frame) -> None:
+        values, vector = frame.values, frame.values[arrow.key]
         start = values[arrow.at] if isinstance(arrow.at, str) else torch.tensor(arrow.at)
+        x, y = (arrow.scale * vector).tolist()
         label = f"{arrow.name} {float(vector.norm()):.3g} {arrow.unit}"
         shape = self._rerun.Arrows2D(
             origins=[self._place(start)],
@@ -178,27 +182,27 @@ class Drawing:
             draw_order=7.0,
             labels=[label] if arrow.name and vector.any() else None,
         )
-        self._log(f"{root}/world/{arrow.key}", shape)
+        self._log(f"{world}/{arrow.key}", shape)
 
-    def _draw_trail(self, flow: int, frame: Frame, trail: Trail) -> None:
-        points = self._trails.setdefault((flow, trail.key), deque())
+    def _draw_trail(self, world: str, trail: Trail, frame: Frame) -> None:
+        path = f"{world}/trajectory_{trail.key}"
+        points = self._trails.setdefault(path, deque())
         if frame.begins:
             points.clear()
         points.append((frame.time, self._place(frame.values[trail.key])))
         while points[0][0] < frame.time - trail.length_T:
             points.popleft()
-        path = np.stack([point for _, point in points])
-        shape = self._make_lines([path], trail.colour, 0.5, 1.0)
-        self._log(f"{name_flow(flow)}/world/trajectory_{trail.key}", shape)
+        strip = np.stack([point for _, point in points])
+        self._log(path, self._make_lines([strip], trail.colour, 0.5, 1.0))
 
     def _draw_choice(self, path: str, choice: Choice, frame: Frame) -> None:
-        own = ... if choice.fish is None else choice.fish
+        fish = ... if choice.fish is None else choice.fish
         if "action" in frame.values:
-            action = frame.values["action"][own]
-            chosen = action.int().argmax() if action.dim() else action  # of one-hot actions
+            action = frame.values["action"][fish]
+            chosen = action.int().argmax() if action.dim() else action  # one-hot or integer
             self._plot(f"{path}/chosen", float(chosen))
         if "action_mask" in frame.values:
-            mask = frame.values["action_mask"][own]
+            mask = frame.values["action_mask"][fish]
             for index, is_legal in enumerate(mask.reshape(-1).tolist()):
                 if is_legal:
                     self._plot(f"{path}/legal_{index}", float(index))
@@ -220,14 +224,14 @@ class Drawing:
         self._log(path, self._rerun.Scalars(value))
 
     def _draw_constants(self, root: str, title: str) -> None:
-        """Draw what does not change: axes, areas, styles of the plots, the text."""
+        """Log static entities: axes, areas, styles of the plots, the description."""
         rr, scene = self._rerun, self.scene
         self._draw_axes(f"{root}/world/axes")
         for area in scene.areas:
             shape = self._make_lines(self._hatch(area), area.colour, _THIN, 1.5)
             self._log(f"{root}/world/{area.key}", shape, static=True)
         for panel in scene.panels:
-            path = f"{root}/{name_panel(panel)}"
+            path = make_plot_path(root, panel)
             if isinstance(panel, Choice):
                 chosen = rr.SeriesLines(
                     names="chosen", widths=2, colors=[_CHOSEN], interpolation_mode="StepBefore"
@@ -264,7 +268,7 @@ class Drawing:
         self._log(f"{root}/about", document, static=True)
 
     def _hatch(self, area: Area) -> list[Points]:
-        """Return a rectangle's border and short strokes on its outer side."""
+        """Return the border of a rectangle with short strokes outside it."""
         (x0, y0), (x1, y1) = area.low, area.high
         length = self.scene.body_length
         step, stroke = 0.125 * length, 0.06 * length
@@ -276,7 +280,7 @@ class Drawing:
         return [self._place(line) for line in (corners, *lines)]
 
     def _draw_axes(self, path: str) -> None:
-        """Draw the picture's frame, and ticks outside of it that count body lengths."""
+        """Draw the frame of the picture, and ticks in body lengths outside it."""
         length, width, height = self.scene.body_length, self.scene.width, self.scene.height
         step, out = space_ticks(max(width, height) / length) * length, 0.012 * width
         corner = torch.tensor([-0.5, -0.5])
@@ -298,7 +302,7 @@ class Drawing:
         self._log(f"{path}/labels", labels, static=True)
 
     def _draw_legends(self) -> None:
-        """Draw a ramp of colours with ticks for the field, and for each coloured set of points."""
+        """Draw a colour bar with ticks for the field, and for each coloured set of points."""
         rr, (width, height) = self._rerun, _LEGEND_SIZE
         ramp = np.tile(quantise(np.linspace(0.0, 1.0, width, dtype=np.float32), 0, 1), (height, 1))
         field = self.scene.field
@@ -321,7 +325,7 @@ class Drawing:
     def _make_lines(
         self, strips: list[Points], colour: tuple[int, ...], width: float, order: float
     ) -> Any:
-        """Return lines of a width in L / 50, or of as many pixels on the screen if negative."""
+        """Return lines of ``width`` L / 50, or of ``-width`` pixels if it is negative."""
         radius = width if width < 0.0 else width * self.scene.body_length / 50.0
         return self._rerun.LineStrips2D(strips, colors=[colour], radii=radius, draw_order=order)
 
@@ -329,12 +333,12 @@ class Drawing:
 def _encode(
     rr: ModuleType, levels: NDArray[np.uint8], field: Field, field_format: FieldFormat
 ) -> Any:
-    """Encode levels ``[Y, X]`` of a field, top row first."""
+    """Encode quantised values ``[Y, X]`` of a field, top row first."""
     looks: dict[str, Any] = {"draw_order": 0.0, "magnification_filter": "Linear"}
     if field_format == "jpeg":
         buffer = io.BytesIO()
         colours = paint(levels, RED_BLUE if field.is_signed else WHITE_BLUE)
-        # colours at full resolution: at half of it, the few nodes of a vortex become blocks
+        # no chroma subsampling: a vortex of a few nodes would become blocks
         Image.fromarray(colours).save(buffer, format="JPEG", quality=90, subsampling=0)
         return rr.EncodedImage(contents=buffer.getvalue(), media_type="image/jpeg", **looks)
     colormap = "Spectral" if field.is_signed else "Viridis"
@@ -346,7 +350,7 @@ def _to_numpy(values: Tensor) -> NDArray[np.float32]:
 
 
 def _pick(frame: Frame, key: str, column: int | None) -> float:
-    """Return a number of a frame, NaN if it is not there."""
+    """Return one number of a frame; NaN if the frame lacks ``key``."""
     if key not in frame.values:
         return float("nan")
     return float(frame.values[key].reshape(-1)[0 if column is None else column])

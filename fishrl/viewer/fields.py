@@ -1,6 +1,6 @@
-"""Flow fields for other tools: NetCDF and Zarr, which xarray reads, and VTK for ParaView.
+"""Export of flow fields: NetCDF and Zarr for xarray, VTK for ParaView.
 
-Needs the extra ``export``, which is imported on use.
+Needs the extra ``export``, whose packages are imported on use.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fishrl.physics import InPlaceSolver, Scales, compute_pressure, compute_vort
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Unit and description of what is written.
+#: Unit and description of each field.
 FIELDS = {
     "u": ("L/T", "velocity along x"),
     "v": ("L/T", "velocity along y"),
@@ -29,15 +29,11 @@ FIELDS = {
 
 
 def read_fields(solver: InPlaceSolver, scales: Scales) -> dict[str, Tensor]:
-    """Return time, fields and outlines of B flows at this moment, for ``make_dataset``.
-
-    Args:
-        solver: the flows.
-        scales: L and T of what is returned.
+    """Return the current state of B flows in units of L and T, for ``make_dataset``.
 
     Returns:
-        ``time`` ``[B]``, the fields of ``FIELDS`` ``[B, Y, X]``, and of each body ``outline_0``
-        and so on, ``[B, N, 2]``; in L and T.
+        ``time`` ``[B]``, the fields of ``FIELDS`` ``[B, Y, X]``, and ``outline_0``, ``outline_1``,
+        ... ``[B, N, 2]`` of the bodies.
     """
     length, period = scales.body_length, scales.period
     rho, u = solver.macroscopic()
@@ -59,12 +55,11 @@ def make_dataset(
     body_length: float,
     about: Mapping[str, str | float] | None = None,
 ) -> xr.Dataset:
-    """Return what ``read_fields`` gave of one flow at F moments, on one time axis.
-
-    A moment that was read twice is written once.
+    """Return a time series of ``read_fields`` of one flow as a data set.
 
     Args:
-        series: by name, ``[F, ...]``, in order; such as ``Traces.of(0)``.
+        series: values ``[F, ...]`` by name, in order of time, such as ``Traces.of(0)``; repeated
+            times are dropped.
         body_length: L in nodes.
         about: further attributes of the data set.
 
@@ -95,31 +90,31 @@ def make_dataset(
 
 
 def _describe(text: str, unit: str) -> dict[str, str]:
-    """Return attributes of a number without dimension; CF takes L for litres and T for teslas."""
+    """Return CF attributes; the unit is part of the name, since CF reads L as litre, T as tesla."""
     return {"units": "1", "long_name": f"{text}, in {unit}"}
 
 
 def _keep(flow: xr.Dataset) -> dict[Hashable, dict[str, Any]]:
-    """Return how coordinates are written: CF allows them no value for what is missing."""
+    """Return the encoding of coordinates, for which CF allows no fill value."""
     return {name: {"_FillValue": None} for name in flow.coords}
 
 
 def write_netcdf(flow: xr.Dataset, path: Path | str) -> None:
-    """Write one compressed NetCDF file."""
+    """Write a data set of ``make_dataset`` as one compressed NetCDF file."""
     packing = {name: {"zlib": True, "complevel": 4} for name in flow.data_vars} | _keep(flow)
     with staged(Path(path)) as stage:
         flow.to_netcdf(stage, engine="h5netcdf", encoding=packing)
 
 
 def write_zarr(flow: xr.Dataset, path: Path | str) -> None:
-    """Write a Zarr folder, one chunk per moment."""
+    """Write a data set of ``make_dataset`` as a Zarr folder with one chunk per time."""
     chunks = {name: {"chunks": (1, *flow[name].shape[1:])} for name in flow.data_vars} | _keep(flow)
-    # version 2 of the format, whose specification has consolidated metadata
+    # consolidated metadata are specified for format 2 only
     flow.to_zarr(path, mode="w", encoding=chunks, consolidated=True, zarr_format=2)
 
 
 def write_vtk(flow: xr.Dataset, path: Path | str) -> None:
-    """Write an image of the flow and the bodies of each moment, and ``path`` as their index."""
+    """Write flow and bodies at each time as VTK files, indexed by the ``.pvd`` file ``path``."""
     import pyvista as pv
 
     path = Path(path)

@@ -1,4 +1,4 @@
-"""Recordings as ``.rrd`` files: writing, opening in a window, screenshots without one."""
+"""Recordings as ``.rrd`` files: writing, opening in a window, screenshots."""
 
 import os
 import subprocess
@@ -19,7 +19,7 @@ from fishrl.viewer.settings import FieldFormat
 
 _APPLICATION = "fishrl"
 _PATIENCE_S = 900.0
-_IDLE_S = 5.0  # after which a viewer that loads nothing has read the whole file
+_IDLE_S = 5.0  # a viewer that has loaded nothing for so long has read the whole file
 _PORT = 29870
 _GREETING_S = 4.5  # duration of the viewer's welcome message
 _MAX_SIZE = 1920
@@ -34,14 +34,18 @@ def start_drawing(
     url: str | None = None,
     field_format: FieldFormat = "jpeg",
 ) -> Drawing:
-    """Begin to draw flows, given their titles by index, into a file, a viewer, or both.
+    """Open a drawing of flows in a file, a viewer, or both.
 
-    ``save`` is the path of the ``.rrd`` file, which is replaced if it exists, ``url`` is that of
-    a viewer's server, see ``process.Server``; ``field_format`` is as in ``ViewerSettings``.
+    Args:
+        scene: what to draw.
+        flows: titles of the flows, by index.
+        save: path of the ``.rrd`` file, which is replaced if it exists.
+        url: address of a viewer, see ``Server``.
+        field_format: see ``ViewerSettings``.
 
     Raises:
         ValueError: if the format is unknown, or neither file nor viewer is given.
-        FileNotFoundError: if the file's folder does not exist.
+        OSError: if the file cannot be written.
     """
     import rerun as rr
 
@@ -49,8 +53,7 @@ def start_drawing(
         raise ValueError(f"field_format = {field_format!r}: must be jpeg or u8")
     if save is None and url is None:
         raise ValueError("neither save nor url is given: give one of them")
-    sinks: list[Any] = []
-    name = "live"
+    is_live, sinks, name = url is not None, list[Any](), "live"
     if save is not None:
         target = check_folder(save)
         name = f"{target.absolute().parent.name}-{target.stem}"
@@ -59,9 +62,8 @@ def start_drawing(
     if url is not None:
         sinks.append(rr.GrpcSink(url))
         name = f"{name}-{time.time_ns()}"
-    # a chunk has an overhead of kilobytes: only a live viewer needs many small ones
+    # a chunk takes kilobytes: only a live viewer needs many small ones
     batches = rr.ChunkBatcherConfig(flush_tick=_FLUSH_S, flush_num_bytes=_FLUSH_BYTES)
-    is_live = url is not None
     stream = rr.RecordingStream(
         _APPLICATION,
         recording_id=f"{_APPLICATION}-{name}",
@@ -91,15 +93,14 @@ def open_recording(path: str | os.PathLike[str]) -> None:
 def write_screenshot(
     path: str | os.PathLike[str], picture: str | os.PathLike[str], *, time_T: float | None = None
 ) -> None:
-    """Write what the viewer shows of a ``.rrd`` file as a PNG, without a window.
+    """Write the viewer's picture of a ``.rrd`` file as a PNG, without a window.
 
-    ``time_T`` is by default the middle of the recording. It waits until the viewer has read the
-    file and drawn it, however busy the machine is.
+    ``time_T`` is by default the middle of the recording. Waits until the viewer has read and drawn
+    the file.
 
     Raises:
-        FileNotFoundError: if there is no recording, or no folder for the picture.
-        ValueError: if the viewer does not start, or ends, as it does without a Vulkan driver; for a
-            file without moments in time.
+        OSError: if there is no recording, or the picture cannot be written.
+        ValueError: if the viewer fails (it needs a Vulkan driver), or the recording is empty.
     """
     check_folder(picture)
     with open_headless(path, time_T) as viewer, staged(Path(picture)) as stage:
@@ -107,7 +108,7 @@ def write_screenshot(
 
 
 class HeadlessViewer:
-    """Ask a running viewer without a window; one too busy to answer is asked again.
+    """Client of a viewer without a window; calls are repeated while the viewer is busy.
 
     Raises:
         ValueError: if the viewer ends, or does not answer for a quarter of an hour.
@@ -118,7 +119,7 @@ class HeadlessViewer:
         self._client: Any = None
 
     def ask(self, call: Callable[[Any], Any]) -> Any:
-        """Return what a call of rerun's client returns."""
+        """Return the result of ``call(client)``."""
         from rerun.experimental import ViewerClient
 
         deadline = time.monotonic() + _PATIENCE_S
@@ -126,8 +127,8 @@ class HeadlessViewer:
             try:
                 self._client = self._client or ViewerClient.connect(self._process.url)
                 return call(self._client)
-            except (OSError, RuntimeError) as error:  # refused, or out of time
-                # without a driver the program listens first, and then ends
+            except (OSError, RuntimeError) as error:  # refused or timed out
+                # without a Vulkan driver the program listens before it ends
                 if not self._process.is_running or time.monotonic() > deadline:
                     raise ValueError(self._process.explain_failure()) from error
                 time.sleep(0.5)
@@ -145,10 +146,10 @@ class HeadlessViewer:
             if state.loading:
                 idle_since = time.monotonic()
             time.sleep(0.2)
-        raise ValueError(f"{recording} has no moments on the timeline {TIMELINE}: record it again")
+        raise ValueError(f"{recording} has no timeline {TIMELINE}: record it again")
 
     def settle(self) -> bytes:
-        """Return the first screenshot that equals the one before: it draws while it reads."""
+        """Return the first screenshot that equals its predecessor: all data have been drawn."""
         before, deadline = b"", time.monotonic() + _PATIENCE_S
         time.sleep(_GREETING_S)
         while True:
@@ -161,18 +162,17 @@ class HeadlessViewer:
 
 @contextmanager
 def open_headless(path: str | os.PathLike[str], time_T: float | None) -> Iterator[HeadlessViewer]:
-    """Show a recording at a time, by default its middle, without a window."""
+    """Show a moment of a recording, by default its middle, without a window."""
     recording = find_recording(path)
     with closing(Viewer("--headless", "--hide-welcome-screen", port=_PORT)) as process:
         viewer = HeadlessViewer(process)
-        first, last = viewer.load(recording)
-        moment = 0.5 * (first + last) if time_T is None else time_T
-        viewer.ask(lambda it: it.set_time(TIMELINE, duration=moment, play_state="paused"))
+        moment = 0.5 * sum(viewer.load(recording)) if time_T is None else time_T
+        viewer.ask(lambda client: client.set_time(TIMELINE, duration=moment, play_state="paused"))
         yield viewer
 
 
 def check_folder(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a file to write; raise OSError if it cannot be written there."""
+    """Return the path of a file to write; raise OSError if it cannot be written."""
     target = Path(path)
     folder = target.absolute().parent
     if not folder.is_dir():
@@ -183,7 +183,7 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def find_recording(path: str | os.PathLike[str]) -> Path:
-    """Return the ``.rrd`` file at a path or in a run folder; raise FileNotFoundError for none."""
+    """Return the ``.rrd`` file at a path or in a run folder, or raise FileNotFoundError."""
     file = Path(path)
     file = file / "episode.rrd" if file.is_dir() else file
     if not file.is_file() or file.suffix != ".rrd":

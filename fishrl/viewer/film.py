@@ -1,6 +1,6 @@
-"""Pictures and films of a recorded flow: field, bodies, senses, goal and path (matplotlib)."""
+"""Pictures and films of a recorded flow, drawn with matplotlib."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from operator import methodcaller
 from os import PathLike
@@ -18,23 +18,24 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle
 from numpy.typing import NDArray
+from torch import Tensor
 
-from fishrl.envs.scene import Arrow, Frame, Marks, Scene
+from fishrl.envs.scene import Arrow, Curve, Frame, Marks, Scene
 from fishrl.figure_style import STYLE
 from fishrl.files import staged
-from fishrl.viewer.colours import PURPLE_GREEN, RED_BLUE, WHITE_BLUE, round_up, space_ticks
+from fishrl.viewer.colours import PURPLE_GREEN, RED_BLUE, WHITE_BLUE, round_limit, space_ticks
 from fishrl.viewer.recording import Recording
 
 FISH = "#20252b"
 FOOD = "#f2b134"
 
 _NUM_SNAPSHOTS = 6
-_FILM_S = 10.0  # duration of a film, as far as 10 to 25 frames per second allow
-_HOLD_S = 1.5  # for which the last frame stands
+_FILM_S = 10.0  # duration of a film, within 10 to 25 frames per second
+_HOLD_S = 1.5  # duration of its last frame
 _PALETTE = "split[a][b];[a]palettegen=max_colors=96[p];[b][p]paletteuse=dither=none"
 _WIDTH_INCHES = 8.0
-#: Dots per inch and ffmpeg's options of a film, by file suffix. A GIF has one palette and no
-#: dithering, so that parts at rest cost nothing.
+#: Dots per inch and ffmpeg options of a film, by file suffix. A GIF has one palette and no
+#: dithering, so that constant parts need no space.
 FILMS: Mapping[str, tuple[float, Mapping[str, Any]]] = {
     ".mp4": (100.0, {"quality": 7}),
     ".gif": (70.0, {"codec": "gif", "pix_fmt_out": "pal8", "output_params": ["-vf", _PALETTE]}),
@@ -42,17 +43,17 @@ FILMS: Mapping[str, tuple[float, Mapping[str, Any]]] = {
 
 
 def label_axes(axes: Axes, *, x: bool = True, y: bool = True) -> None:
-    """Name the axes in body lengths, or hide the tick labels of one that a neighbour names."""
+    """Label the axes in body lengths; without ``x`` or ``y`` hide the tick labels of that axis."""
     axes.set(xlabel="x / L" if x else "", ylabel="y / L" if y else "")
     axes.tick_params(labelbottom=x, labelleft=y)
 
 
 def choose_limit(recording: Recording) -> float:
-    """Return the value of the field at which the colours saturate: a round number.
+    """Return the value at which the colours of the field saturate, a round number.
 
-    The boundary layer on the fish is many times stronger than the wake, so the limit is a
-    percentile (``Field.saturated``) of what is not negligible, in the later half of the episode;
-    or the limit of the field, if that was given.
+    It is a percentile (``Field.saturated``) of the non-negligible values in the second half of the
+    episode, since the boundary layer of the fish is many times stronger than its wake; or the limit
+    of the field if that was given.
     """
     field, frames = recording.scene.field, recording.frames
     if field.saturated is None:
@@ -62,18 +63,18 @@ def choose_limit(recording: Recording) -> float:
     visible = late[late > 0.02 * late.max()]
     if visible.numel() == 0:
         return 1.0
-    # torch.quantile is limited to 16 million values; numpy is not
-    return round_up(float(np.quantile(visible.numpy(), 1.0 - field.saturated)))
+    # torch.quantile takes at most 16 million values
+    return round_limit(float(np.quantile(visible.numpy(), 1.0 - field.saturated)))
 
 
 def fit_colours(recording: Recording) -> Scene:
-    """Return the scene of a recording with colours that saturate at ``choose_limit``."""
+    """Return the scene of a recording with the limit of ``choose_limit`` for its colours."""
     scene = recording.scene
     return scene.choose_field(scene.field.key, limit=choose_limit(recording))
 
 
 class FlowAxes:
-    """One set of axes that shows a scene's field, bodies, signals, goal and paths, frame by frame.
+    """Axes in body lengths that show a scene frame by frame: field, bodies, senses, goal, paths.
 
     Args:
         axes: to draw on.
@@ -81,7 +82,7 @@ class FlowAxes:
     """
 
     def __init__(self, axes: Axes, scene: Scene) -> None:
-        self.scene = scene
+        self.axes, self.scene = axes, scene
         length, x, y = scene.body_length, scene.width, scene.height
         edges = (-0.5 / length, (x - 0.5) / length, -0.5 / length, (y - 0.5) / length)
         self.image = axes.imshow(
@@ -95,43 +96,14 @@ class FlowAxes:
         }
         for area in scene.areas:
             (x0, y0), (x1, y1) = (np.array(corner) / length for corner in (area.low, area.high))
-            colour = [c / 255.0 for c in area.colour]
-            axes.add_patch(
-                Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=colour, lw=0.7, ls=":")
-            )
-        self.bodies = {
-            curve.key: Polygon(
-                np.zeros((3, 2)),
-                closed=True,
-                facecolor=[c / 255.0 for c in curve.colour],
-                edgecolor="white",
-                lw=0.4,
-                zorder=3,
-            )
-            for curve in scene.curves
-            if curve.is_closed
-        }
-        self.arrows = [_NamedArrow(axes, arrow, length) for arrow in scene.arrows if arrow.name]
-        self.signals = [
-            _Signals(axes, marks, length) for marks in scene.marks if marks.value is not None
+            look: dict[str, Any] = {"fill": False, "edgecolor": _scale(area.colour), "lw": 0.7}
+            axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, ls=":", **look))
+        self._updates: list[Callable[[Frame], None]] = [
+            *(self._add_body(curve) for curve in scene.curves if curve.is_closed),
+            *(self._add_goal(marks) for marks in scene.marks if marks.reach > 0.0),
+            *(self._add_arrow(arrow) for arrow in scene.arrows if arrow.name),
+            *(self._add_signals(marks) for marks in scene.marks if marks.value is not None),
         ]
-        self.circles = [
-            (goal.key, circle)
-            for goal in scene.marks
-            if goal.reach > 0.0
-            for circle in (
-                Circle((0, 0), goal.reach / length, fill=False, edgecolor=FISH, lw=0.8, ls=":"),
-                Circle((0, 0), 0.07, facecolor=FOOD, edgecolor=FISH, lw=0.8, zorder=4),
-            )
-        ]
-        below: dict[str, Any] = {"xytext": (0, -16), "textcoords": "offset points", "ha": "center"}
-        self.names = [
-            (goal.key, axes.annotate(goal.name, (0, 0), **below))
-            for goal in scene.marks
-            if goal.reach > 0.0
-        ]
-        for patch in (*self.bodies.values(), *(circle for _, circle in self.circles)):
-            axes.add_patch(patch)
         box = {"boxstyle": "round,pad=0.3", "facecolor": "white", "alpha": 0.85, "lw": 0}
         place: dict[str, Any] = {"transform": axes.transAxes, "va": "top", "bbox": box}
         self.clock = axes.text(0.015, 0.955, "", ha="left", **place)
@@ -149,81 +121,98 @@ class FlowAxes:
         figure.colorbar(self.image, ax=axes, label=label, extend=extend, pad=0.015, **looks)
 
     def show(self, frames: Sequence[Frame]) -> None:
-        """Move everything to the last of some frames; the others give the path to it."""
+        """Show the last of some frames, and the path through all of them."""
         now = frames[-1]
         self.image.set_data(now.values[self.scene.field.key].float().numpy())
-        for key, body in self.bodies.items():
-            body.set_xy(self._place(now, key))
-        for key, circle in self.circles:
-            circle.center = tuple(self._place(now, key))
-        for key, name in self.names:
-            name.xy = tuple(self._place(now, key))
-            name.set_visible(now.ending is None)  # a fish that has reached it would be covered
+        for update in self._updates:
+            update(now)
         for key, path in self.paths.items():
-            path.set_data(*np.stack([self._place(frame, key) for frame in frames]).T)
-        for arrow in self.arrows:
-            arrow.show(now)
-        for signals in self.signals:
-            signals.show(now)
+            path.set_data(*np.stack([self._place(frame.values[key]) for frame in frames]).T)
         self.clock.set_text(f"t = {now.time:.1f} T")
         self.ending.set_text("" if now.ending is None else now.ending.words)
 
-    def _place(self, frame: Frame, key: str) -> NDArray[np.float32]:
-        """Return places in body lengths."""
-        place: NDArray[np.float32] = (frame.values[key].float() / self.scene.body_length).numpy()
-        return place
+    def _place(self, points: Tensor) -> NDArray[np.float32]:
+        """Return points in body lengths."""
+        placed: NDArray[np.float32] = (points.float() / self.scene.body_length).numpy()
+        return placed
 
+    def _add_body(self, curve: Curve) -> Callable[[Frame], None]:
+        body = Polygon(
+            np.zeros((3, 2)), closed=True, facecolor=_scale(curve.colour), edgecolor="white",
+            lw=0.4, zorder=3,
+        )  # fmt: skip
+        self.axes.add_patch(body)
+        return lambda now: body.set_xy(self._place(now.values[curve.key]))
 
-class _NamedArrow:
-    """An arrow with its name and magnitude, hidden while it is zero."""
+    def _add_goal(self, goal: Marks) -> Callable[[Frame], None]:
+        """Add a point with its name and the circle of its reach."""
+        reach = goal.reach / self.scene.body_length
+        circles = (
+            Circle((0, 0), reach, fill=False, edgecolor=FISH, lw=0.8, ls=":"),
+            Circle((0, 0), 0.07, facecolor=FOOD, edgecolor=FISH, lw=0.8, zorder=4),
+        )
+        below: dict[str, Any] = {"xytext": (0, -16), "textcoords": "offset points", "ha": "center"}
+        name = self.axes.annotate(goal.name, (0, 0), **below)
+        for circle in circles:
+            self.axes.add_patch(circle)
 
-    def __init__(self, axes: Axes, arrow: Arrow, body_length: float) -> None:
-        self._arrow, self._length = arrow, body_length
-        self._shape = FancyArrowPatch(
+        def update(now: Frame) -> None:
+            place = tuple(self._place(now.values[goal.key]))
+            for circle in circles:
+                circle.center = place
+            name.xy = place
+            name.set_visible(now.ending is None)  # it would cover a fish that has arrived
+
+        return update
+
+    def _add_arrow(self, arrow: Arrow) -> Callable[[Frame], None]:
+        """Add an arrow with its name and magnitude, hidden while it is zero."""
+        shape = FancyArrowPatch(
             (0, 0), (0, 0), shrinkA=0, shrinkB=0, arrowstyle="-|>", mutation_scale=14, lw=2.0,
             color=FISH, zorder=5,
         )  # fmt: skip
-        self._text = axes.text(0, 0, "", ha="left", va="bottom", zorder=5)
-        axes.add_patch(self._shape)
+        text = self.axes.text(0, 0, "", ha="left", va="bottom", zorder=5)
+        self.axes.add_patch(shape)
 
-    def show(self, frame: Frame) -> None:
-        arrow = self._arrow
-        vector = frame.values.get(arrow.key, torch.zeros(2)).float()
-        start = frame.values[arrow.at] if isinstance(arrow.at, str) else torch.tensor(arrow.at)
-        x, y = (start / self._length).tolist()
-        dx, dy = (arrow.scale * vector / self._length).tolist()
-        size = float(vector.norm())
-        self._shape.set_positions((x, y), (x + dx, y + dy))
-        self._text.set_position((x, y + 0.08))
-        self._text.set_text(f"{arrow.name} {size:.3g} {arrow.unit}")
-        for artist in (self._shape, self._text):
-            artist.set_visible(size > 0.0)
+        def update(now: Frame) -> None:
+            vector = now.values.get(arrow.key, torch.zeros(2)).float()
+            at = now.values[arrow.at] if isinstance(arrow.at, str) else torch.tensor(arrow.at)
+            x, y = self._place(at)
+            dx, dy = self._place(arrow.scale * vector)
+            shape.set_positions((x, y), (x + dx, y + dy))
+            text.set_position((x, y + 0.08))
+            text.set_text(f"{arrow.name} {float(vector.norm()):.3g} {arrow.unit}")
+            for artist in (shape, text):
+                artist.set_visible(bool(vector.any()))
 
+        return update
 
-class _Signals:
-    """Points coloured by a value each, such as neuromasts by what they sense."""
-
-    def __init__(self, axes: Axes, marks: Marks, body_length: float) -> None:
-        self._marks, self._length, size = marks, body_length, 2.0 * marks.radius / body_length
-        self._dots = EllipseCollection(
+    def _add_signals(self, marks: Marks) -> Callable[[Frame], None]:
+        """Add points coloured by their values, such as the pressure at neuromasts."""
+        size = 2.0 * marks.radius / self.scene.body_length
+        dots = EllipseCollection(
             [size], [size], [0.0], units="xy", offsets=np.zeros((0, 2)),
-            offset_transform=axes.transData, cmap=PURPLE_GREEN, clim=(-marks.limit, marks.limit),
-            edgecolors=FISH, linewidths=0.5, zorder=5,
+            offset_transform=self.axes.transData, cmap=PURPLE_GREEN,
+            clim=(-marks.limit, marks.limit), edgecolors=FISH, linewidths=0.5, zorder=5,
         )  # fmt: skip
-        axes.add_collection(self._dots, autolim=False)
+        self.axes.add_collection(dots, autolim=False)
         words = f"dots: {marks.name}, purple −{marks.limit:g} to green {marks.limit:g} {marks.unit}"
-        axes.text(0.985, 0.03, words, ha="right", fontsize=8, transform=axes.transAxes)
+        self.axes.text(0.985, 0.03, words, ha="right", fontsize=8, transform=self.axes.transAxes)
 
-    def show(self, frame: Frame) -> None:
-        places, values = (
-            frame.values[str(key)].float() for key in (self._marks.key, self._marks.value)
-        )
-        self._dots.set_offsets((places.reshape(-1, 2) / self._length).numpy())
-        self._dots.set_array(values.reshape(-1).numpy())
+        def update(now: Frame) -> None:
+            dots.set_offsets(self._place(now.values[marks.key].reshape(-1, 2)))
+            dots.set_array(now.values[str(marks.value)].float().reshape(-1).numpy())
+
+        return update
+
+
+def _scale(colour: tuple[int, int, int]) -> list[float]:
+    """Return the colour of 0 to 255 for matplotlib."""
+    return [part / 255.0 for part in colour]
 
 
 class FramePainter:
-    """Paint frames of one scene as pictures, one after the other.
+    """Paint frames of one scene as pictures, one after another.
 
     Args:
         scene: what to draw.
@@ -232,9 +221,9 @@ class FramePainter:
 
     def __init__(self, scene: Scene, *, dpi: float) -> None:
         self._trails = [trail.key for trail in scene.trails]
-        self._path: list[Frame] = []  # without fields, which are large
+        self._path: list[Frame] = []  # without the fields, which are large
         with mpl.rc_context(STYLE):
-            figure, self._flow = make_single(scene)
+            figure, self._flow = make_figure(scene)
             figure.set_dpi(dpi)
             self._canvas = FigureCanvasAgg(figure)
             self._canvas.draw()
@@ -251,7 +240,7 @@ class FramePainter:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of a picture, pixels."""
+        """Width and height of a picture in pixels."""
         width, height = self._canvas.get_width_height()
         return width, height
 
@@ -270,11 +259,11 @@ class FramePainter:
 
 
 def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
-    """Write the field at several times on one sheet, as the paper shows its predation."""
+    """Write one picture of the field at six equidistant times."""
     times, num = recording.time, _NUM_SNAPSHOTS
     wanted = torch.linspace(float(times[-1]) / num, float(times[-1]), num)
     nearest = (times[None] - wanted[:, None]).abs().argmin(1)
-    frames = list(dict.fromkeys(nearest.tolist()))  # each once
+    frames = list(dict.fromkeys(nearest.tolist()))  # without repetitions
     columns = min(2, len(frames))
     rows = -(-len(frames) // columns)
     ratio = recording.scene.height / recording.scene.width
@@ -296,20 +285,20 @@ def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
 
 
 def write_flow(recording: Recording, path: str | PathLike[str]) -> None:
-    """Write one large picture of the flow in the last frame."""
+    """Write a picture of the last frame."""
     with mpl.rc_context(STYLE):
-        figure, flow = make_single(fit_colours(recording))
+        figure, flow = make_figure(fit_colours(recording))
         flow.show(recording.frames)
         with staged(Path(path)) as stage:
             figure.savefig(stage)
 
 
 def write_film(recording: Recording, path: str | PathLike[str]) -> None:
-    """Write the episode as an MP4 (H.264) or a GIF, with the ffmpeg that imageio-ffmpeg brings.
+    """Write the episode as an MP4 (H.264) or a GIF, using the ffmpeg of imageio-ffmpeg.
 
     Raises:
         ValueError: for a suffix that is not in ``FILMS``.
-        OSError: if it cannot be written.
+        OSError: if the file cannot be written.
     """
     suffix = Path(path).suffix
     if suffix not in FILMS:
@@ -333,8 +322,8 @@ def write_film(recording: Recording, path: str | PathLike[str]) -> None:
             writer.close()
 
 
-def make_single(scene: Scene) -> tuple[Figure, FlowAxes]:
-    """Return a figure with one set of axes, see ``FlowAxes``."""
+def make_figure(scene: Scene) -> tuple[Figure, FlowAxes]:
+    """Return a figure of one flow with title and colour bar."""
     size = (_WIDTH_INCHES, 0.86 * _WIDTH_INCHES * scene.height / scene.width + 0.85)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()

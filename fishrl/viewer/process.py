@@ -25,11 +25,11 @@ class Viewer:
     """A running rerun program; ``url`` is the address of its gRPC server.
 
     Args:
-        *options: options of the program, in addition to the port.
-        port: where it listens; the next free one if it is taken.
+        *options: command-line options of rerun, in addition to the port.
+        port: port of the server; the next free one if it is taken.
 
     Raises:
-        ValueError: if no port is free, or it does not start.
+        ValueError: if no port is free, or rerun does not start.
     """
 
     def __init__(self, *options: str, port: int) -> None:
@@ -55,7 +55,7 @@ class Viewer:
         return self._process.poll() is None
 
     def explain_failure(self) -> str:
-        """Return the message for a program that does not start, or ends too early."""
+        """Return the message of the error if rerun does not start or ends early."""
         return (
             f"rerun does not run on port {self.port} with {' '.join(self._options)}: run `python "
             "-m rerun` with these options for its error (without a screen it needs a Vulkan "
@@ -63,8 +63,8 @@ class Viewer:
         )
 
     def close(self) -> None:
-        """End it, and wait until its port is free."""
-        self._process.communicate()  # closes the pipe to it, which ends it
+        """End rerun and wait until its port is free."""
+        self._process.communicate()  # rerun ends when its standard input is closed
         deadline = time.monotonic() + _PATIENCE_S
         while self._listens() and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -78,17 +78,17 @@ class Viewer:
 
 
 class Server(Viewer):
-    """Takes in a stream and passes it to windows and, at ``page``, browsers on this machine.
+    """Server that passes a stream to windows and, at ``page``, browsers on this machine.
 
-    It keeps the newest frames that fit into 512 MB, for those that join late. Closing a window
-    does not end it, and an open window keeps its frames when the server ends.
+    It keeps the newest 512 MB of frames for viewers that join later. Closing a window does not end
+    the server, and an open window keeps its frames after the server has ended.
 
     Args:
-        port: where streams arrive; the next free one if it is taken.
-        opens_window: open a window; by default where there is a screen.
+        port: port of the stream; the next free one if it is taken.
+        opens_window: open a window; by default if there is a screen.
 
     Raises:
-        ValueError: if no port is free, or it does not start.
+        ValueError: if no port is free, or rerun does not start.
     """
 
     def __init__(self, *, port: int = 9876, opens_window: bool | None = None) -> None:
@@ -105,20 +105,20 @@ class Server(Viewer):
 
 
 def has_screen() -> bool:
-    """Return whether a window could be opened here."""
+    """Return whether this process can open a window."""
     if sys.platform in ("darwin", "win32"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def open_window(*options: str) -> None:
-    """Start rerun in a window that outlives this process."""
+    """Start rerun in a window that stays open after this process has ended."""
     command, env = [sys.executable, "-m", "rerun", *options], make_environment()
     subprocess.Popen(command, env=env, start_new_session=True, **_SILENT)
 
 
 def find_port(first: int) -> int:
-    """Return the first free port from ``first`` on; raise ValueError if a hundred are taken."""
+    """Return the first free port of a hundred from ``first``; raise ValueError if none is free."""
     for port in range(first, min(first + 100, _MAX_PORT)):
         with socket.socket() as trial:
             trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -127,4 +127,4 @@ def find_port(first: int) -> int:
             except OSError:
                 continue
             return port
-    raise ValueError(f"port = {first}: it and the hundred after it are taken; choose another")
+    raise ValueError(f"port = {first}: this port and the next 99 are taken; choose another")

@@ -1,6 +1,6 @@
 """Frames of running flows: read within decisions, passed on once their decision is over.
 
-A frame carries the action in force and its reward, which is known only at the decision's end.
+A frame carries the current action and its reward, which is known only at the end of the decision.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -20,20 +20,23 @@ from fishrl.envs.scene import Choice, Ending, Frame, Scene
 from fishrl.envs.task import AbstractTask
 
 
-def make_scene(
+def make_env_scene(
     env: TransformedEnv,
     *,
     field: str = "vorticity",
     field_limit: float | None = None,
     policy: str = "",
 ) -> Scene:
-    """Return the scene of an env's task, with the plots of those outputs that the env has.
+    """Return the scene of a task, without plots of entries that its environment does not output.
 
-    ``field`` is drawn; its colours saturate at ``field_limit``, by default the field's own limit.
-    The title ends with the name of the ``policy``, if given.
+    Args:
+        env: an environment of ``make_env``.
+        field: the field that is drawn.
+        field_limit: value at which its colours saturate; by default the limit of the field.
+        policy: name of the policy for the title.
 
     Raises:
-        ValueError: for a field that the scene does not have.
+        ValueError: for an unknown field.
     """
     scene: Scene = views.make_scene(env.base_env.task)
     outputs = {*env.observation_spec.keys(), "action", "reward"}
@@ -51,31 +54,34 @@ def make_scene(
 def name_flows(
     task: AbstractTask, flows: Collection[int], starts: TensorDictBase | None = None
 ) -> dict[int, str]:
-    """Return titles of flows by their index, from the starts ``[E]`` they begin with, if known."""
+    """Return the titles of flows by index; ``starts`` ``[E]`` add the names of labelled streams."""
     names = {flow: "" if starts is None else name_flow(task, starts[flow]) for flow in flows}
     return {flow: f"flow {flow}" + f": {name}" * bool(name) for flow, name in names.items()}
 
 
 def read_values(base: FlowEnv, scene: Scene) -> dict[str, Tensor]:
-    """Return what the scene of an env shows now, ``[B, ...]``; of its fields only the first."""
+    """Return the current values ``[B, ...]`` of a scene by key, without fields that it hides."""
     hidden = {field.key for field in scene.fields[1:]}
     values = views.read_scene(base.task, base.solver, base.start)
     return {key: value for key, value in values.items() if key not in hidden}
 
 
 def list_reasons(task: AbstractTask, now: TensorDictBase) -> list[str]:
-    """Return in what words each row's episode ends, if the task ends it ``now``; or nothing."""
-    ways = find_extension(task, HasScene).name_endings(now)
+    """Return why the task would end the episode of each row now, such as "caught", or "".
+
+    ``now`` is the measurement ``[B]``.
+    """
+    named = find_extension(task, HasScene).name_endings(now)
     rows = range(now.batch_size[0])
-    return [next((words for words, is_so in ways.items() if is_so[row].any()), "") for row in rows]
+    return [next((words for words, holds in named.items() if holds[row].any()), "") for row in rows]
 
 
 def list_endings(
     after: TensorDictBase, task: AbstractTask, reasons: Sequence[str]
 ) -> list[Ending | None]:
-    """Return how each row's episode ended with this decision, None where it goes on.
+    """Return how the episode of each row ended, None where it continues.
 
-    ``after`` ``[B]`` is the state at its end, ``reasons`` are those of ``list_reasons``.
+    ``after`` ``[B]`` is the state after a decision; ``reasons`` come from ``list_reasons``.
     """
     is_success, endings = has_succeeded(after, task.success), list[Ending | None]()
     for row, reason in enumerate(reasons):
@@ -91,11 +97,11 @@ def list_endings(
 
 
 class Recorder:
-    """Reads about ``frames_per_T`` frames per period of some rows of an env.
+    """Read about ``frames_per_T`` frames per period from some rows of an environment.
 
-    Termination is checked ``task.checks_per_action`` times per decision; a frame is read at every
-    n-th check. ``give`` is called with row and frame, in the order of time; times begin at 0 in
-    each episode.
+    Frames are read at every n-th of the ``task.checks_per_action`` checks for termination in each
+    decision. ``give(row, frame)`` receives them in order of time, which starts at 0 in each
+    episode.
     """
 
     def __init__(
@@ -115,20 +121,20 @@ class Recorder:
         self._pending: dict[int, list[Frame]] = {}
         self._last_T: dict[int, float] = {}
         self._has_given: dict[int, bool] = {}
-        self._reasons = [""] * base.batch_size[0]  # of the end, should the episodes end here
+        self._reasons = [""] * base.batch_size[0]  # of ``list_reasons``, at the last frame
 
     def begin(self, rows: Collection[int]) -> None:
-        """Begin an episode in some rows; frames of theirs that are pending are dropped."""
+        """Begin an episode in some rows and drop their pending frames."""
         for row in rows:
             self._pending[row], self._last_T[row], self._has_given[row] = [], -1.0, False
 
     def is_due(self) -> bool:
-        """Return whether to read frames at this check; call it once per check."""
+        """Return whether frames are read at this check; call once per check."""
         self._num_checks += 1
         return self._num_checks % self._stride == 0
 
     def keep(self, rows: Collection[int]) -> None:
-        """Read a frame of some rows; those that have not moved since the last one are left out."""
+        """Read a frame of some rows; rows that have not advanced since their last are skipped."""
         if not rows:
             return
         base = self._base
@@ -148,10 +154,10 @@ class Recorder:
                 self._reasons[row] = reasons[row]
 
     def settle(self, step: TensorDictBase, rows: Collection[int]) -> None:
-        """Give the frames of a decision that is over, with its action and reward.
+        """Pass on the frames of a finished decision, with its action and reward.
 
-        ``step`` ``[B]`` is as the env returns it. Of a row that diverged nothing is given but, at
-        the very first decision, the start.
+        ``step`` ``[B]`` is what ``env.step`` returns. Frames of a diverged row are dropped, except
+        the start of its episode.
         """
         after = step["next"]
         read = {name: read_entry(step, name) for name in self._scene.output_keys}
@@ -182,19 +188,16 @@ def record_episodes(
     on_step: Callable[[Tensor, TensorDictBase], None] | None = None,
     on_episodes: Callable[[int], None] | None = None,
 ) -> Episodes:
-    """Run one episode from each start and record it, from its start to the check that ends it.
+    """Run one episode from each start and record it up to the check that ends it.
 
-    Arguments are as for ``run_episodes`` and ``Recorder``, but ``give`` is called with the number
-    of the start and a frame, in the order of time. Make the env with
-    ``frames_per_action=task.checks_per_action``.
+    Arguments are those of ``run_episodes`` and ``Recorder``, but ``give`` receives the index of the
+    start and a frame. The environment needs ``frames_per_action=task.checks_per_action``.
     """
     base = env.base_env
     start_of: dict[int, int] = {}
-
-    def pass_on(row: int, frame: Frame) -> None:
-        give(start_of[row], frame)
-
-    recorder = Recorder(base, scene, frames_per_T=frames_per_T, give=pass_on)
+    recorder = Recorder(
+        base, scene, frames_per_T=frames_per_T, give=lambda row, frame: give(start_of[row], frame)
+    )
 
     def begin(begun: Tensor, state: TensorDictBase) -> None:
         rows = _list_rows(begun)
@@ -224,31 +227,31 @@ def record_episodes(
 
 
 def _list_rows(start_of: Tensor) -> dict[int, int]:
-    """Return the start of each row that has one."""
+    """Return the index of the start of each row, without rows that run none."""
     return {row: start for row, start in enumerate(start_of.tolist()) if start >= 0}
 
 
 @dataclass(kw_only=True)
 class Recording:
-    """The frames of one episode, in the order of time."""
+    """The frames of one episode, in order of time."""
 
     scene: Scene
     frames: list[Frame] = field(default_factory=list)
 
     @property
     def ending(self) -> Ending | None:
-        """How the episode ended; None if it was cut."""
+        """How the episode ended; None if the recording stops earlier."""
         return self.frames[-1].ending
 
     @property
     def time(self) -> Tensor:
-        """``[F]`` in T, float64."""
+        """Times of the F frames, T, float64."""
         return torch.tensor([frame.time for frame in self.frames], dtype=torch.float64)
 
     def stack(self, key: str) -> Tensor:
-        """Return ``[F, ...]`` what the frames hold under a key of the scene."""
+        """Return the values ``[F, ...]`` of one key of the scene."""
         return torch.stack([frame.values[key] for frame in self.frames])
 
     def stack_bl(self, key: str) -> Tensor:
-        """Return places ``[F, ..., 2]`` (x, y) in body lengths."""
+        """Return points ``[F, ..., 2]`` (x, y) in body lengths."""
         return self.stack(key).float() / self.scene.body_length

@@ -1,6 +1,6 @@
 """Flows for Gymnasium: a vector environment, a single one, and ids for ``gymnasium.make``.
 
-Needs the extra ``gymnasium``; import it by its full name, which also registers the ids::
+Needs the extra ``gymnasium``. Importing this module registers the ids::
 
     import gymnasium
     import fishrl.wrappers.gymnasium
@@ -21,7 +21,7 @@ from fishrl.wrappers.single import FlowSingleEnv
 
 __all__ = ["TASKS", "FlowSingleEnv", "FlowVectorEnv", "make_single", "make_vector"]
 
-#: Tasks with one fish by their ids; own tasks can be added by ``gymnasium.register`` likewise.
+#: Tasks with one fish by id; add your own by ``gymnasium.register`` as below.
 TASKS: dict[str, type[AbstractTask]] = {
     f"fishrl/{task.__name__}-v0": task for task in (Predation, KarmanGait, Follower)
 }
@@ -33,10 +33,10 @@ def make_vector(task: type[AbstractTask], num_envs: int, **settings: Any) -> Flo
     Args:
         task: class of the task.
         num_envs: number of flows.
-        settings: of ``make_env``, of ``FlowVectorEnv`` and, all others, of the task.
+        settings: arguments of ``make_env`` and ``FlowVectorEnv``; all others go to the task.
 
     Raises:
-        ValueError: for settings that none of them has.
+        ValueError: for unknown settings.
     """
     making, wrapping = (
         {name: settings.pop(name) for name in signature(takes).parameters if name in settings}
@@ -49,7 +49,7 @@ def make_vector(task: type[AbstractTask], num_envs: int, **settings: Any) -> Flo
 def make_single(task: type[AbstractTask], **settings: Any) -> FlowSingleEnv:
     """Return an environment of one flow; arguments are those of ``make_vector``."""
     if "num_envs" in settings:
-        raise ValueError("num_envs: gymnasium.make makes one flow; take gymnasium.make_vec")
+        raise ValueError("num_envs: gymnasium.make makes one flow; use gymnasium.make_vec")
     return FlowSingleEnv(make_vector(task, 1, autoreset_mode="Disabled", **settings))
 
 

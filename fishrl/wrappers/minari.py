@@ -1,8 +1,7 @@
-"""Episodes of a policy as a Minari dataset.
+"""Episodes of a policy as a Minari dataset; needs the extra ``export``.
 
-Needs the extra ``export``; import it by its full name:
-``from fishrl.wrappers.minari import write_dataset``. ``minari.load_dataset`` reads the dataset;
-``MinariExperienceReplay`` of TorchRL 0.14.1 reads its spaces, but zeros in place of any data.
+``minari.load_dataset`` reads the dataset. ``MinariExperienceReplay`` of TorchRL 0.14.1 reads its
+spaces, but zeros instead of the data of any Minari dataset.
 """
 
 import os
@@ -28,15 +27,11 @@ except ImportError as error:
 
 
 def find_dataset(name: str, folder: str | Path) -> Path:
-    """Return where a dataset of this name would lie.
-
-    Raises:
-        ValueError: for an invalid name, or a dataset that exists.
-    """
+    """Return the path of a new dataset; raise ValueError if its name is invalid or exists."""
     parse_dataset_id(name)
     path = Path(folder).expanduser().absolute() / name
     if path.exists():
-        raise ValueError(f"{path} exists: take the next version in name={name}")
+        raise ValueError(f"{path} exists: increase the version in name={name}")
     return path
 
 
@@ -53,17 +48,17 @@ def write_dataset(
 ) -> minari.MinariDataset:
     """Run one episode from each start and write their transitions to ``<folder>/<name>``.
 
-    Observations hold ``observation``, the stack that policies see, and ``action_mask`` of discrete
-    actions; infos hold all that the task reports, such as the signals of the lateral line.
+    Observations hold the stacked ``observation`` and, for discrete actions, ``action_mask``; infos
+    hold all entries that the task reports, such as the lateral-line signals.
 
     Args:
         env: an environment of ``make_env``.
         policy: writes ``action``.
-        starts: ``[E]``, as ``task.sample_starts`` returns.
+        starts: initial conditions ``[E]`` of ``task.sample_starts``.
         name: identifier of the dataset, ``(<namespace>/)<name>-v<version>``.
         folder: folder of the datasets; sets ``MINARI_DATASETS_PATH`` of this process.
-        seed: noted in the dataset.
-        algorithm: what the policy is, noted in the dataset.
+        seed: seed of the starts, stored with the dataset.
+        algorithm: name of the policy, stored with the dataset.
         on_episodes: called with the number of episodes that have just ended.
 
     Raises:
@@ -73,7 +68,7 @@ def write_dataset(
     task = env.base_env.task
     if task.num_fish > 1:
         raise ValueError(
-            f"task: {type(task).__name__} has several fish, and Minari's datasets hold one agent"
+            f"task: {type(task).__name__} has several fish, but a Minari dataset has one agent"
         )
     is_continuous, num = task.action_bounds is not None, task.num_actions
     masked = () if is_continuous else ("action_mask",)
@@ -87,35 +82,28 @@ def write_dataset(
         return {"action": step["action"], **outcome, **read(start_of, step["next"])}
 
     traces = run_episodes(
-        env,
-        policy,
-        starts,
-        on_begin=read,
-        on_step=read_step,
-        on_episodes=on_episodes,
+        env, policy, starts, on_begin=read, on_step=read_step, on_episodes=on_episodes
     ).traces
-    arrays = {key: [trace.numpy() for trace in each] for key, each in traces.items()}
-    buffers = [
-        EpisodeBuffer(
+    buffers = []
+    for index in range(len(starts)):
+        arrays = {key: each[index].numpy() for key, each in traces.items()}
+        masks = {key: arrays[key].astype(np.uint8) for key in masked}
+        buffer = EpisodeBuffer(
             id=index,
             seed=seed,
-            observations={
-                "observation": arrays["observation_stack"][index],
-                **{key: arrays[key][index].astype(np.uint8) for key in masked},
-            },
-            actions=arrays["action"][index],
-            rewards=arrays["reward"][index][:, 0],
-            terminations=arrays["terminated"][index][:, 0],
-            truncations=arrays["truncated"][index][:, 0],
-            infos={key: arrays[key][index] for key in reported},
+            observations={"observation": arrays["observation_stack"], **masks},
+            actions=arrays["action"],
+            rewards=arrays["reward"][:, 0],
+            terminations=arrays["terminated"][:, 0],
+            truncations=arrays["truncated"][:, 0],
+            infos={key: arrays[key] for key in reported},
         )
-        for index in range(len(starts))
-    ]
+        buffers.append(buffer)
     os.environ["MINARI_DATASETS_PATH"] = str(Path(folder).expanduser().absolute())
-    warnings.simplefilter("ignore", UserWarning)  # about fields for its public server
+    warnings.simplefilter("ignore", UserWarning)  # missing metadata for the public server
     size = env.observation_spec["observation_stack"].shape[-1]
     seen = Box(-np.inf, np.inf, (size,), np.float32)
-    mask = Box(0, 1, (num,), np.uint8)  # TorchRL reads no MultiBinary
+    mask = Box(0, 1, (num,), np.uint8)  # TorchRL cannot read MultiBinary
     return minari.create_dataset_from_buffers(
         name,
         buffers,

@@ -1,8 +1,4 @@
-"""Several fish as a PettingZoo environment.
-
-Needs the extra ``pettingzoo``; import it by its full name:
-``from fishrl.wrappers.pettingzoo import FlowParallelEnv``.
-"""
+"""Several fish as a PettingZoo environment; needs the extra ``pettingzoo``."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -26,18 +22,16 @@ except ImportError as error:
 
 
 class FlowParallelEnv(ParallelEnv[str, Array, Any]):
-    """Wrap one flow with M fish as a ``pettingzoo.ParallelEnv`` with agents ``fish_0``, ``fish_1``.
+    """Wrap one flow with several fish, ``fish_0`` etc., as a ``pettingzoo.ParallelEnv``.
 
-    Observations are ``observation_stack`` ``[num_stacked * n_obs]``, float32; actions are integers,
-    or numbers ``[num_actions]`` in [-1, 1] if the task has continuous ones. ``infos`` holds the
-    ``action_mask`` of discrete actions and what environment and task report. An episode ends for
-    all fish at once.
+    Observations are ``observation_stack`` ``[num_stacked * n_obs]``, float32; actions are integers
+    or, if continuous, numbers ``[num_actions]`` in [-1, 1]. ``infos`` holds the ``action_mask`` of
+    discrete actions and the reports of environment and task. An episode ends for all fish at once.
 
     Args:
-        env: an environment of ``make_env`` with ``num_envs=1``, of a task with several fish, which
-            this wrapper owns and closes.
-        render_mode: ``rgb_array``, and ``render`` returns pictures; or None.
-        field: what these pictures show: vorticity, pressure or speed.
+        env: an environment of ``make_env`` with one flow of several fish; this wrapper closes it.
+        render_mode: ``rgb_array`` for pictures from ``render``, or None.
+        field: the field that is drawn: vorticity, pressure or speed.
     """
 
     def __init__(
@@ -46,7 +40,7 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
         task = env.base_env.task
         if task.num_fish == 1:
             raise ValueError(
-                f"{type(task).__name__} has one fish, and FlowParallelEnv wraps several: take "
+                f"{type(task).__name__} has one fish, and FlowParallelEnv wraps several: use "
                 "fishrl.wrappers.gymnasium"
             )
         if env.batch_size != (1,):
@@ -108,7 +102,7 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
         Returns observations, rewards, terminations, truncations and infos by fish.
 
         Raises:
-            ValueError: for illegal actions, for missing ones, and once the episode is over.
+            ValueError: for illegal or missing actions, and after the end of the episode.
         """
         if not self.agents or set(actions) != set(self.agents):
             raise ValueError(
@@ -140,7 +134,7 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
         return self._pictures.paint()[0]
 
     def close(self) -> None:
-        """End the solver's processes, if any."""
+        """Close the environment and its solver."""
         self.env.close(raise_if_closed=False)
 
     def _observe(self) -> dict[str, Array]:
@@ -148,7 +142,7 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
         return dict(zip(self.possible_agents, rows, strict=True))
 
     def _tell(self) -> dict[str, dict[str, Any]]:
-        """Return by fish the legal actions, and what was reported of the flow."""
+        """Return the reports of the flow and the legal actions, by fish."""
         flow = {
             name: self._state[name][0].cpu().numpy()
             for name in self.env.full_observation_spec

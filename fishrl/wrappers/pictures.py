@@ -1,4 +1,4 @@
-"""Pictures of the flows of an environment, for ``render``."""
+"""Pictures of flows for ``render``."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
 from fishrl.envs.scene import Ending, Frame
-from fishrl.viewer import make_scene
+from fishrl.viewer import make_env_scene
 from fishrl.viewer.film import FramePainter
 from fishrl.viewer.recording import list_endings, list_reasons, read_values
 
@@ -15,12 +15,12 @@ Array = np.ndarray[Any, Any]
 
 
 class Pictures:
-    """Paints the current state of each flow; the path of the nose begins with each episode.
+    """Paint the current state of each flow, with the path of the nose since its episode began.
 
     Args:
         env: an environment of ``make_env``.
         render_mode: ``rgb_array``, or None for no pictures.
-        field: what they show: vorticity, pressure or speed.
+        field: the field that is drawn: vorticity, pressure or speed.
     """
 
     def __init__(self, env: TransformedEnv, *, render_mode: str | None, field: str) -> None:
@@ -28,22 +28,22 @@ class Pictures:
             raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array' or None")
         num = int(env.batch_size[0])
         self.flows = env.base_env
-        self.scene = make_scene(env, field=field)  # refuses an unknown field
+        self.scene = make_env_scene(env, field=field)
         self.painters = [
             FramePainter(self.scene, dpi=100.0) for _ in range(num if render_mode else 0)
         ]
-        self.is_new = np.ones(num, dtype=np.bool_)  # an episode without a picture
+        self.is_new = np.ones(num, dtype=np.bool_)  # no picture of the episode yet
         self.endings: list[Ending | None] = [None] * num
 
     def begin(self, rows: Array) -> None:
-        """Let new episodes begin in ``rows`` ``[B]`` bool."""
+        """Begin new episodes in ``rows`` ``[B]`` bool."""
         self.is_new |= rows
         self.endings = [
             None if new else ending for new, ending in zip(rows, self.endings, strict=True)
         ]
 
     def tell_endings(self, after: TensorDictBase) -> list[Ending | None]:
-        """Return how episodes ended in the state ``after`` ``[B]``; the next pictures say so."""
+        """Return how episodes ended in the state ``after`` ``[B]``; the next pictures show it."""
         task = self.flows.task
         self.endings = list_endings(after, task, list_reasons(task, self.flows.now))
         return self.endings

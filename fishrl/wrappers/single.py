@@ -18,8 +18,8 @@ class FlowSingleEnv(Env[Array, Any]):
     actions.
 
     Args:
-        vector: the flow, with ``num_envs=1`` and ``autoreset_mode="Disabled"``, which this wrapper
-            owns and closes.
+        vector: environment with ``num_envs=1`` and ``autoreset_mode="Disabled"``; this wrapper
+            closes it.
     """
 
     def __init__(self, vector: FlowVectorEnv) -> None:
@@ -34,7 +34,7 @@ class FlowSingleEnv(Env[Array, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Start a new episode; return its first observation and infos."""
+        """Start a new episode; return its first observation and info."""
         super().reset(seed=seed)
         observations, infos = self.vector.reset(seed=seed, options=options)
         return observations[0], _take_first(infos)
@@ -55,7 +55,7 @@ class FlowSingleEnv(Env[Array, Any]):
         return self.vector.render()[0]
 
     def close(self) -> None:
-        """End the solver's processes, if any."""
+        """Close the environment and its solver."""
         self.vector.close()
 
 

@@ -1,10 +1,5 @@
-"""A ``VecEnv`` of flows for Stable-Baselines3.
+"""A ``VecEnv`` of flows for Stable-Baselines3; needs the extra ``stable-baselines3``."""
 
-Needs the extra ``stable-baselines3``; import it by its full name:
-``from fishrl.wrappers.stable_baselines import FlowVecEnv``.
-"""
-
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,11 +24,10 @@ class FlowVecEnv(VecEnv):
     """Wrap an environment of ``make_env`` with B flows as a ``VecEnv`` of B rows.
 
     ``env_method("action_masks")`` returns the legal actions, as ``MaskablePPO`` of sb3-contrib
-    expects. Use algorithms without masks for tasks in which all actions are always legal, or
-    continuous.
+    expects. Algorithms without masks need tasks whose actions are continuous or always legal.
 
     Args:
-        env: an environment of ``make_env``, which this wrapper owns and closes.
+        env: an environment of ``make_env``; this wrapper closes it.
     """
 
     def __init__(self, env: TransformedEnv) -> None:
@@ -46,7 +40,7 @@ class FlowVecEnv(VecEnv):
         self._actions: Array = np.zeros(self.num_envs, dtype=np.int64)
 
     def reset(self) -> Array:
-        """Start new episodes in all rows, with the seed of a preceding call of ``seed``."""
+        """Start new episodes in all rows, with the seed given to ``seed``, if any."""
         observations, infos = self.vector.reset(seed=self._seeds[0])
         self._reset_seeds()
         self._reset_options()
@@ -60,7 +54,7 @@ class FlowVecEnv(VecEnv):
     def step_wait(self) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
         """Return observations ``[B, ...]``, rewards, dones and a dict of infos per row.
 
-        Rows that end are reset at once; their infos hold ``terminal_observation`` and
+        Ended rows are reset at once; their infos hold ``terminal_observation`` and
         ``TimeLimit.truncated``.
         """
         observations, rewards, terminated, truncated, infos = self.vector.step(self._actions)
@@ -76,7 +70,7 @@ class FlowVecEnv(VecEnv):
         return observations, rewards.astype(np.float32), dones, rows
 
     def close(self) -> None:
-        """End the solver's processes, if any."""
+        """Close the environment and its solver."""
         self.vector.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
@@ -87,7 +81,7 @@ class FlowVecEnv(VecEnv):
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Raise ValueError: all rows share one environment."""
         raise ValueError(
-            f"{attr_name} = {value}: rows share one environment; make another with make_env"
+            f"{attr_name} = {value}: all rows share one environment; make another with make_env"
         )
 
     def env_method(
@@ -103,5 +97,5 @@ class FlowVecEnv(VecEnv):
 
     def _split(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
         """Turn infos of all rows into one dict per row."""
-        names: Sequence[str] = [name for name in infos if not name.startswith("_")]
-        return [{name: infos[name][row] for name in names} for row in range(self.num_envs)]
+        values = {name: value for name, value in infos.items() if not name.startswith("_")}
+        return [{k: value[row] for k, value in values.items()} for row in range(self.num_envs)]

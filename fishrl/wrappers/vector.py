@@ -1,7 +1,7 @@
 """A ``gymnasium.vector.VectorEnv`` of flows."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -30,31 +30,30 @@ class FlowVectorEnv(VectorEnv):
     """Wrap an environment of ``make_env`` with B flows as a vector environment of B rows.
 
     Observations are ``observation_stack`` ``[B, num_stacked * n_obs]``, float32; actions are
-    integers ``[B]``, or numbers ``[B, num_actions]`` in [-1, 1] (a ``Box``) if the
-    task has continuous ones. ``infos`` holds ``action_mask`` ``[B, num_actions]`` (int8, for
-    ``Discrete.sample``) of discrete actions and all other entries of environment and task, such as
-    ``captured``, ``diverged``, ``step_count`` and ``episode_reward``, each with a ``_``-prefixed
-    array of the rows that have it; ``ending`` says in words how episodes ended in this step, such
-    as "caught". A row whose flow diverges is truncated with reward 0.
+    integers ``[B]`` or, if continuous, numbers ``[B, num_actions]`` in [-1, 1]. ``infos`` holds
+    ``action_mask`` ``[B, num_actions]`` (int8, for ``Discrete.sample``) of discrete actions and all
+    other entries of environment and task, such as ``captured``, ``diverged``, ``step_count`` and
+    ``episode_reward``, each with a ``_``-prefixed array of the rows that have it; ``ending`` tells
+    how an episode ended in this step, such as "caught". A row whose flow diverges is truncated with
+    reward 0.
 
-    ``autoreset_mode`` is one of Gymnasium's three:
+    Autoreset modes of Gymnasium:
 
     ``NEXT_STEP``
         The step after the end of an episode resets the row, ignores its action and returns reward
         0; on a CPU the flow does not advance. Exclude that step from learning.
     ``SAME_STEP``
         The step that ends an episode returns the first observation of the next one. The last
-        observation is ``infos["final_obs"]`` (None in other rows), its infos, with ``ending``,
+        observation is ``infos["final_obs"]`` (None in other rows), its infos and ``ending`` are
         ``infos["final_info"]``.
     ``DISABLED``
         Ended rows must be reset by ``reset(options={"reset_mask": rows})`` before the next step.
 
     Args:
-        env: an environment of ``make_env``, which this wrapper owns and closes.
+        env: an environment of ``make_env``; this wrapper closes it.
         autoreset_mode: a ``gymnasium.vector.AutoresetMode`` or its value.
-        render_mode: ``rgb_array``, and ``render`` returns pictures, for instance for Gymnasium's
-            ``RecordVideo``; or None.
-        field: what these pictures show: vorticity, pressure or speed.
+        render_mode: ``rgb_array`` for pictures from ``render`` or ``RecordVideo``, or None.
+        field: the field that is drawn: vorticity, pressure or speed.
     """
 
     def __init__(
@@ -67,17 +66,17 @@ class FlowVectorEnv(VectorEnv):
     ) -> None:
         if env.base_env.task.num_fish > 1:
             raise ValueError(
-                f"{type(env.base_env.task).__name__} has several fish, for which Gymnasium has no "
-                "environments: take fishrl.wrappers.pettingzoo.FlowParallelEnv"
+                f"{type(env.base_env.task).__name__} has several fish, and a Gymnasium environment "
+                "has one agent: use fishrl.wrappers.pettingzoo.FlowParallelEnv"
             )
-        self.env = env
+        self.env, self.flows = env, cast("FlowEnv", env.base_env)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.num_envs = int(env.batch_size[0])
         specs = env.full_observation_spec
         shape = tuple(specs["observation_stack"].shape[1:])
         self.single_observation_space = Box(-np.inf, np.inf, shape, np.float32)
-        task = self.flows.task
-        self.is_continuous, num_actions = task.action_bounds is not None, task.num_actions
+        num_actions = self.flows.task.num_actions
+        self.is_continuous = self.flows.task.action_bounds is not None
         self.single_action_space = (
             Box(-1.0, 1.0, (num_actions,), np.float32)
             if self.is_continuous
@@ -96,19 +95,13 @@ class FlowVectorEnv(VectorEnv):
         self._state: TensorDictBase | None = None
         self._is_over = np.zeros(self.num_envs, dtype=np.bool_)
 
-    @property
-    def flows(self) -> FlowEnv:
-        """The environment without transforms."""
-        flows: FlowEnv = self.env.base_env
-        return flows
-
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """Start new episodes; return observations ``[B, ...]`` and infos of all rows.
 
-        ``seed`` determines all further starts, which depend on seed, row and episode; ``options``
-        may hold ``reset_mask`` ``[B]`` bool, the rows to reset.
+        ``seed``, row and number of the episode determine each later start. ``options`` may hold
+        ``reset_mask`` ``[B]`` bool, the rows to reset.
 
         Raises:
             ValueError: for an invalid mask.
@@ -118,7 +111,7 @@ class FlowVectorEnv(VectorEnv):
             super().reset(seed=seed)
             self.env.set_seed(int(seed), static_seed=True)
         if unknown := sorted(set(options or {}) - {"reset_mask"}):
-            raise ValueError(f"options = {unknown}: there is only 'reset_mask'")
+            raise ValueError(f"options = {unknown}: must be 'reset_mask'")
         if not options:
             self._state = self.env.reset()
             self._is_over[:] = False
@@ -135,7 +128,7 @@ class FlowVectorEnv(VectorEnv):
         Returns observations ``[B, ...]``, rewards ``[B]``, terminations, truncations and infos.
 
         Raises:
-            ValueError: for illegal actions or a wrong shape, and for rows that must be reset first.
+            ValueError: for illegal actions, a wrong shape, or rows that must be reset first.
             gymnasium.error.ResetNeeded: before the first reset.
         """
         state, waiting = self._need_state(), self._is_over.copy()
@@ -151,19 +144,24 @@ class FlowVectorEnv(VectorEnv):
             np.where(waiting, 0, _row_wise(after[name])).astype(dtype)
             for name, dtype in (("reward", float), ("terminated", bool), ("truncated", bool))
         )
-        is_over = terminated | truncated
-        infos: dict[str, Any] = {}
-        ending = self._tell_endings(after, is_over)
+        is_over, infos = terminated | truncated, dict[str, Any]()
+        if is_over.any():
+            endings = zip(is_over, self._pictures.tell_endings(after), strict=True)
+            words = [ending.words if over and ending else None for over, ending in endings]
+            infos["ending"] = np.array(words, dtype=object)
+        resets = waiting
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            resets = is_over
             if is_over.any():
-                infos = self._tell_ends(after, is_over, ending)
-                after = self._reset_rows(after, is_over)
+                final = np.full(self.num_envs, None, dtype=object)
+                for row in is_over.nonzero()[0]:
+                    final[row] = _observe(after)[row]
+                last = _with_rows(self._read_reported(after) | infos, is_over)
+                infos = {"final_obs": final, "final_info": last}
         else:
-            infos = _with_rows(ending, is_over)
-            if waiting.any():
-                after = self._reset_rows(after, waiting)
             self._is_over = is_over
-        self._state = after
+        infos = _with_rows(infos, is_over)
+        self._state = after = self._reset_rows(after, resets) if resets.any() else after
         return _observe(after), reward, terminated, truncated, infos | self._tell(after)
 
     def action_masks(self) -> Array:
@@ -173,7 +171,7 @@ class FlowVectorEnv(VectorEnv):
             ValueError: for a task with continuous actions.
         """
         if self.is_continuous:
-            raise ValueError("action_masks: continuous actions have none; use PPO or SAC")
+            raise ValueError("action_masks: continuous actions have no mask; use PPO or SAC")
         mask: Array = self._need_state()["action_mask"].cpu().numpy()
         return mask.copy()
 
@@ -188,7 +186,7 @@ class FlowVectorEnv(VectorEnv):
         return self._pictures.paint()
 
     def close_extras(self, **kwargs: Any) -> None:
-        """End the solver's processes, if any."""
+        """Close the environment and its solver."""
         self.env.close(raise_if_closed=False)
 
     def _need_state(self) -> TensorDictBase:
@@ -199,14 +197,13 @@ class FlowVectorEnv(VectorEnv):
     def _advance(self, state: TensorDictBase, actions: Array, waiting: Array) -> TensorDictBase:
         """Return the next state; ``waiting`` rows do not advance and are undefined."""
         rests = torch.as_tensor(waiting, device=self.env.device)
-        chosen = torch.as_tensor(actions, device=self.env.device)
+        action = torch.as_tensor(actions, device=self.env.device)
         if self.is_continuous:
-            legal = torch.zeros_like(chosen)
+            action = action.masked_fill(rests[:, None], 0.0)
         else:
-            legal = state["action_mask"].int().argmax(-1)
+            action = torch.where(rests, state["action_mask"].int().argmax(-1), action)
         self.flows.is_resting = rests
         try:
-            action = torch.where(rests.view(-1, *(1,) * (chosen.dim() - 1)), legal, chosen)
             stepped = self.env.step(state.copy().set("action", action))
         finally:
             self.flows.is_resting = torch.zeros_like(rests)
@@ -223,32 +220,13 @@ class FlowVectorEnv(VectorEnv):
         return fresh.exclude("_reset")
 
     def _read_actions(self, given: Any) -> Array:
-        """Return actions of the space's type."""
+        """Return actions ``[B, ...]`` with the type of their space."""
         kind, dtype = (np.floating, np.float32) if self.is_continuous else (np.integer, np.int64)
         return _read("actions", given, self.action_space.shape, kind).astype(dtype)
 
     def _tell(self, state: TensorDictBase) -> dict[str, Any]:
-        """Return infos: all entries but the observations."""
+        """Return all entries but the observations as infos."""
         return _with_rows(self._read_reported(state), np.ones(self.num_envs, dtype=np.bool_))
-
-    def _tell_endings(self, state: TensorDictBase, rows: Array) -> dict[str, Array]:
-        """Return how the episodes of ``rows`` ended, if any."""
-        if not rows.any():
-            return {}
-        endings = zip(rows, self._pictures.tell_endings(state), strict=True)
-        words = [ending.words if over and ending else None for over, ending in endings]
-        return {"ending": np.array(words, dtype=object)}
-
-    def _tell_ends(
-        self, state: TensorDictBase, rows: Array, ending: dict[str, Array]
-    ) -> dict[str, Any]:
-        """Return last observations and infos of ended episodes."""
-        observations = _observe(state)
-        final = np.full(self.num_envs, None, dtype=object)
-        for row in rows.nonzero()[0]:
-            final[row] = observations[row]
-        last = _with_rows(self._read_reported(state) | ending, rows)
-        return _with_rows({"final_obs": final, "final_info": last}, rows)
 
     def _read_reported(self, state: TensorDictBase) -> dict[str, Array]:
         reported = {name: _row_wise(state[name]) for name in self._reported}
@@ -258,7 +236,7 @@ class FlowVectorEnv(VectorEnv):
 
 
 def _read(name: str, given: Any, shape: tuple[int, ...] | None, kind: type) -> Array:
-    """Return ``given`` as an array; raise ValueError unless it has the shape and kind."""
+    """Return ``given`` as an array; raise ValueError if its shape or kind is wrong."""
     values = np.asarray(given)
     if values.shape != shape or not np.issubdtype(values.dtype, kind):
         raise ValueError(

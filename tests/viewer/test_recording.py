@@ -1,4 +1,4 @@
-"""Recordings: moments, their content, and the end of an episode."""
+"""Recordings: times, values and endings of frames."""
 
 from collections import defaultdict
 from typing import Any
@@ -8,7 +8,7 @@ import torch
 
 from fishrl.envs import KarmanGait, Predation, make_env
 from fishrl.envs.scene import Ending, Frame
-from fishrl.viewer import Recording, make_scene, name_flows, record_episodes
+from fishrl.viewer import Recording, make_env_scene, name_flows, record_episodes
 from fishrl.viewer.recording import Recorder
 from tests.envs.conftest import SMALL, keep_straight, starts_at
 
@@ -16,7 +16,7 @@ TASK: dict[str, Any] = {**SMALL, "time_limit": 12, "food_still_T": 99.0, "checks
 
 
 class Recorded:
-    """Two flows of predation, and the frames that a recorder gives of them."""
+    """Two flows of predation and their recorded frames."""
 
     def __init__(self, *, frames_per_T: int) -> None:
         task = Predation(**TASK)
@@ -24,7 +24,7 @@ class Recorded:
         self.env = make_env(task=task, num_envs=2, compile=False, frames_per_action=checks)
         self.base, self.given = self.env.base_env, defaultdict[int, list[Frame]](list)
         give = lambda row, frame: self.given[row].append(frame)  # noqa: E731
-        scene = make_scene(self.env)
+        scene = make_env_scene(self.env)
         self.recorder = Recorder(self.base, scene, frames_per_T=frames_per_T, give=give)
         self.base.on_frame = lambda _: self.recorder.is_due() and self.recorder.keep([0, 1])
         self.state = self.env.reset()
@@ -40,14 +40,14 @@ class Recorded:
 
 
 def at(*times: float) -> Any:
-    """Return times in T, to be found within a step or two: there are 106 in one T."""
+    """Return times in T with a tolerance of two steps, of which a period has 106."""
     return pytest.approx(times, abs=0.02)
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_frames_are_evenly_spaced_and_carry_the_reward_of_their_action() -> None:
+def test_frames_are_equidistant_and_hold_their_reward() -> None:
     flows = Recorded(frames_per_T=2)
-    flows.recorder.keep([1])  # a moment is recorded once
+    flows.recorder.keep([1])  # a repeated frame is skipped
     for _ in range(2):
         flows.act()
     assert flows.times(1) == at(0.0, 0.5, 1.0, 1.5, 2.0)
@@ -59,7 +59,7 @@ def test_frames_are_evenly_spaced_and_carry_the_reward_of_their_action() -> None
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_diverged_flow_keeps_the_frames_before_its_last_decision() -> None:
+def test_frames_of_diverged_decision_are_dropped() -> None:
     for num, kept in ((1, at(0.0, 0.25, 0.5, 0.75, 1.0)), (0, [0.0])):
         flows = Recorded(frames_per_T=4)
         for _ in range(num):
@@ -71,13 +71,13 @@ def test_diverged_flow_keeps_the_frames_before_its_last_decision() -> None:
 
 
 def record(num_envs: int, *, device: str = "cpu") -> tuple[Predation, list[Recording], Any]:
-    """Record two episodes: one that catches its food, and one that misses it."""
+    """Record an episode that catches the food, and one that misses it."""
     task, settings = Predation(**TASK), {"device": device, "compile": False}
     starts = starts_at((5.0, 2.5), (5.0, 3.75))
     checks = task.checks_per_action
     env = make_env(task=task, num_envs=num_envs, frames_per_action=checks, **settings)
     env.rollout(1)
-    scene = make_scene(env)
+    scene = make_env_scene(env)
     recordings = [Recording(scene=scene), Recording(scene=scene)]
 
     def give(start: int, frame: Frame) -> None:
@@ -97,7 +97,7 @@ def test_episodes_are_recorded_from_start_to_capture(num_envs: int) -> None:
     assert caught.ending == Ending(words="caught", is_success=True)
     assert missed.ending == Ending(words="time is over", is_success=False)
     assert all(frame.ending is None for frame in caught.frames[:-1])
-    # 2.25 body lengths at 0.4 per period; one check more at the most
+    # 2.25 body lengths at 0.4 per period, and at most one check
     assert caught.time[-1] == pytest.approx(2.25 / 0.4, abs=0.06)
     away = (caught.stack("food") - caught.stack("head")).norm(dim=-1)
     assert away[-1] <= task.capture_radius < away[-2]
@@ -106,13 +106,11 @@ def test_episodes_are_recorded_from_start_to_capture(num_envs: int) -> None:
         assert recording.time[0] == 0.0 and (recording.time.diff() > 0.0).all()
         assert torch.equal(recording.stack("fish")[:, 0], recording.stack("head"))
         assert {"action", "action_mask", "vorticity"} <= set(recording.frames[0].values)
-        assert not {"pressure", "speed"} & set(recording.frames[0].values)  # not shown
+        assert not {"pressure", "speed"} & set(recording.frames[0].values)
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_a_success_that_its_task_does_not_name_is_shown_as_one(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_unnamed_success_is_called_success(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Predation, "name_endings", lambda task, now: {})
     _, (reached, _), _ = record(1)
     assert reached.ending == Ending(words="success", is_success=True)
@@ -130,10 +128,10 @@ def test_gpu_flows_are_recorded_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("recognition", [None, "oracle"])
-def test_plots_of_missing_outputs_are_left_out(recognition: str | None) -> None:
+def test_plots_of_missing_outputs_are_omitted(recognition: str | None) -> None:
     task = KarmanGait(**{**SMALL, "wall_margin_bl": 0.25})
     env = make_env(task=task, num_envs=1, compile=False, recognition=recognition)
-    scene = make_scene(env, field="pressure", field_limit=7.0)
+    scene = make_env_scene(env, field="pressure", field_limit=7.0)
     names = {panel.name for panel in scene.panels}
     assert ("class probabilities" in names) == (recognition is not None)
     assert any(name.startswith("reward") for name in names)

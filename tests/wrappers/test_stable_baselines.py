@@ -1,4 +1,4 @@
-"""Stable-Baselines3 itself learns on flows, on kinematic fish."""
+"""Stable-Baselines3 learns with kinematic fish."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ def keep(num: int = 2) -> np.ndarray:
     return np.ones(num, dtype=np.int64)
 
 
-def test_ended_row_is_reset_and_returns_its_terminal_observation() -> None:
+def test_ended_row_returns_terminal_observation() -> None:
     envs = make()
     envs.seed(0)
     first = envs.reset()
@@ -45,7 +45,7 @@ def test_ended_row_is_reset_and_returns_its_terminal_observation() -> None:
     assert not np.array_equal(infos[1]["terminal_observation"], observations[1])
 
 
-def test_attributes_and_methods_are_returned_per_row() -> None:
+def test_attributes_and_methods_are_per_row() -> None:
     envs = make(num_envs=3)
     envs.reset()
     assert envs.get_attr("num_envs", indices=[0, 2]) == [3, 3]
@@ -75,7 +75,7 @@ def test_algorithms_without_masks_learn(kind: type, action: str) -> None:
 
 
 @pytest.mark.learning
-def test_maskable_ppo_takes_legal_actions_alone() -> None:
+def test_maskable_ppo_takes_legal_actions() -> None:
     envs = make(MaskedTask(**SMALL, time_limit=6), num_envs=3)
     model = MaskablePPO("MlpPolicy", envs, n_steps=16, batch_size=16, seed=0, device="cpu")
     model.learn(96)  # an illegal action would end it with an error

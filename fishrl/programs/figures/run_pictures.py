@@ -16,7 +16,7 @@ from fishrl.programs.figures.style import COLOURS, panels
 from fishrl.viewer import (
     Recording,
     ViewerSettings,
-    make_scene,
+    make_env_scene,
     name_flows,
     record_episodes,
     start_drawing,
@@ -44,7 +44,7 @@ def record_run(
     ``on_episodes`` is called with the number of episodes that have just ended.
     """
     task = env.base_env.task
-    scene = make_scene(
+    scene = make_env_scene(
         env, field=settings.field, field_limit=settings.field_limit, policy=folder.name
     )
     flows, max_decisions = list(range(min(_MAX_FLOWS, len(starts)))), None

@@ -122,7 +122,7 @@ def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number() -> No
 def test_flows_are_drawn_in_body_lengths_with_the_field_that_their_scene_has_chosen() -> None:
     recording = scale_vorticity(make_recording(num_frames=5), 0.1, "speed")
     recording.scene = recording.scene.choose_field("speed")
-    figure, flow = film.make_single(film.fit_colours(recording))
+    figure, flow = film.make_figure(film.fit_colours(recording))
     flow.show(recording.frames)
     assert flow.image.get_clim() == (0.0, film.choose_limit(recording))
     assert figure.axes[1].get_ylabel() == "speed  [L/T]"
