@@ -108,7 +108,7 @@ check: $(DEV_STAMP) ## lint, formatting, types, import rules
 bench: $(DEV_STAMP) ## run the benchmarks, about ten minutes; ARGS="groups=[solver,coupled]" selects some
 	$(BIN)/python -m experiments.benchmark $(ARGS)
 
-validate: $(DEV_STAMP) ## compare the solver with the literature and write docs/validation.md
+validate: $(DEV_STAMP) ## compare the solver with the literature; write docs/validation.md and its results
 	$(BIN)/python -m experiments.validate $(ARGS)
 
 validate-quick: $(DEV_STAMP) ## coarse cases only, some three minutes with empty caches; the page goes to runs/validation

@@ -1,5 +1,6 @@
 """How Sphinx builds these pages: ``make docs``."""
 
+import json
 import re
 import sys
 from pathlib import Path
@@ -14,6 +15,8 @@ from notebooks import offer_notebook  # noqa: E402
 from reference import show_signature, write_reference  # noqa: E402
 
 import fishrl  # noqa: E402
+from experiments.validate import CASES  # noqa: E402
+from experiments.validation.report import render_case  # noqa: E402
 from fishrl.settings import Settings  # noqa: E402
 
 write_reference(HERE / "configuration.md")
@@ -30,6 +33,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
 ]
+source_suffix = {".md": "myst-nb", ".json": "myst-nb"}  # stored results of validation
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "force"
@@ -88,6 +92,13 @@ def link_studies(_app: Any, _page: str, source: list[str]) -> None:
     source[0] = re.sub(r"\]\(((?:\.\./)+studies/[^)]*\.md)\)", r"](path:\1)", source[0])
 
 
+def add_validation(_app: Any, page: str, source: list[str]) -> None:
+    """Make the page of a validation case from its stored results."""
+    if page.startswith("validation/"):
+        (case,) = [case for case in CASES if page == f"validation/{case.name}"]
+        source[0] = render_case(case, json.loads(source[0]))
+
+
 def add_notebooks(_app: Any, page: str, source: list[str]) -> None:
     """Offer each tutorial as a notebook, too."""
     if page.startswith("tutorials/"):
@@ -101,5 +112,6 @@ def setup(app: Any) -> None:
     app.connect("autodoc-process-signature", tidy)
     app.connect("autodoc-process-docstring", keep_colon, priority=400)
     app.connect("doctree-read", drop_object)
+    app.connect("source-read", add_validation)
     app.connect("source-read", link_studies)
     app.connect("source-read", add_notebooks)

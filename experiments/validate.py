@@ -1,9 +1,10 @@
 """Validate the flow solver against the literature: ``python -m experiments.validate``.
 
-Runs the jobs of all cases in parallel, one core each, and writes ``docs/validation.md`` with a page
-and a figure per case; with ``quick=true`` or a choice of ``cases`` they go into the folder instead.
-Results are cached in the folder: the same command continues after an interruption, and repeats only
-jobs that a change to the physics or to a case affects. Exits with status 1 if a criterion fails.
+Runs the jobs of all cases in parallel, one core each, and writes ``docs/validation.md`` and each
+case's results and figure, from which ``make docs`` builds its page; with ``quick=true`` or a choice
+of ``cases`` they go into the folder instead. Results are cached in the folder: the same command
+continues after an interruption, and repeats only jobs that a change to the physics or to a case
+affects. Exits with status 1 if a criterion fails.
 """
 
 import sys
@@ -13,10 +14,11 @@ from pathlib import Path
 from pydantic import PositiveInt
 
 from experiments.validation.case import MISSED, Case
-from experiments.validation.report import render_table, summarise, write_report
+from experiments.validation.report import list_rows, render_checks, summarise, write_report
 from experiments.validation.runner import run_cases
 from fishrl.limits import count_cores
 from fishrl.programs.configuration import unknown
+from fishrl.programs.export_policy import read_revision
 from fishrl.programs.program import program
 from fishrl.settings import Settings
 
@@ -41,8 +43,8 @@ class ValidateSettings(Settings):
         quick: coarse runs only, some three minutes with empty caches.
         fresh: repeat cached jobs too.
         jobs: parallel processes.
-        folder: folder of the results, and of the pages unless all cases run.
-        docs: folder for the pages and figures of a full run.
+        folder: folder of the cached results, and of the report unless all cases run.
+        docs: folder for the report of a full run.
     """
 
     cases: tuple[str, ...] = ()
@@ -73,11 +75,13 @@ def main(settings: ValidateSettings) -> None:
         is_fresh=settings.fresh,
     )
     is_full = not settings.quick and not settings.cases
-    page = (Path(settings.docs) if is_full else folder) / "validation.md"
+    docs = Path(settings.docs) if is_full else folder
     command = "make validate" if is_full else "python -m experiments.validate"
-    write_report(outcomes, page=page, json_path=folder / "validation.json", command=command)
-    print(f"{render_table(outcomes)}\n{summarise(outcomes)} Written to {page}")
-    if any(check.verdict == MISSED for outcome in outcomes for check in outcome.checks):
+    commit = (read_revision() or "unknown")[:8]
+    write_report(outcomes, folder=docs, command=command, commit=commit)
+    rows = list_rows(check for outcome in outcomes for check in outcome.checks)
+    print(f"{render_checks(outcomes)}\n{summarise(rows)} Written to {docs / 'validation.md'}")
+    if any(row["verdict"] == MISSED for row in rows):
         sys.exit(1)
 
 

@@ -1,115 +1,102 @@
-"""The report: a page of verdicts, a page of Markdown for each case, and all checks as JSON."""
+"""The report: each case's results as JSON and a figure, and the pages that are made from them."""
 
+import json
 import re
-from collections.abc import Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from math import inf, isfinite
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 
-from experiments.validation.case import MISSED, PASS, RECORDED, Check, as_range
+from experiments.validation.case import MISSED, PASS, RECORDED, Case, Check
 from experiments.validation.runner import FIGURE_STYLE, Outcome
 from fishrl.files import staged, write_whole
 from fishrl.pages import write_table
 from fishrl.training.run_folder import write_json
 
+#: A check as it is stored: the fields of ``Check`` with ``error`` and ``verdict``.
+Row = dict[str, Any]
+#: A case and its stored results.
+Result = tuple[Case, Mapping[str, Any]]
+
 HEADS = ("quantity", "ours", "reference", "error", "tolerance", "verdict", "resolution")
-SUMMARY = ("case", "quantity", "ours", "reference", "deviation", "tolerance", "verdict", "met")
-NUM_DEVIATIONS = 2  # named at the top of the page
-LONGEST_SOURCE = 40  # characters in the table of verdicts; the cases' own pages have all
+#: Where the first sentence of a note ends; "2.5" and "e.g." end none.
+FIRST_SENTENCE = re.compile(r"(?<=\w[\w)]\.) (?=[A-Z])")
+SUMMARY = ("case", "quantity", "ours", "accepted", "deviation", "verdict")
 INTRODUCTION = """\
-The flow solver and the swimming fish, compared with exact solutions, other codes and experiments.
-The table has one quantity of each case; its link leads to all quantities, figures and set-up."""
+How closely the flow solver and the swimming fish agree with exact solutions, other codes and
+experiments: every acceptance criterion with its result, and the reason for each miss. A case's link
+leads to its set-up, figure and all quantities on the site, and to the same numbers as JSON in the
+repository."""
 EXPLANATION = """\
-*Deviation* and *tolerance* are relative to the reference unless marked ±; from a range they are
-measured to its nearer end. *Met* counts the criteria of the case that are met; *recorded*
-quantities have none."""
+*Accepted* is a range, or a reference with its tolerance; *deviation* is measured from the reference
+or the nearer end of the range, and is relative to it unless marked ±. *Recorded* quantities have no
+criterion and are on the cases' pages, but for one that stands for its case here."""
 
 
-def write_report(outcomes: Sequence[Outcome], *, page: Path, json_path: Path, command: str) -> None:
-    """Write the page of verdicts, the cases' own pages, their figures, and all checks as JSON.
+def write_report(outcomes: Sequence[Outcome], *, folder: Path, command: str, commit: str) -> None:
+    """Write ``validation.md``, and the results and the figure of each case.
 
-    In the folder of ``page``, the cases' pages go into ``validation`` and figures into
-    ``figures/validation``. The page names the ``command`` that made it.
+    Results go into ``folder/validation``, figures into ``folder/figures/validation``. The page
+    names the ``command`` that made it, the results the ``commit`` at which they were measured.
     """
-    figures, cases = page.parent / "figures" / "validation", page.parent / "validation"
-    for folder in (figures, cases):
-        folder.mkdir(parents=True, exist_ok=True)
+    figures = folder / "figures" / "validation"
+    for path in (figures, folder / "validation"):
+        path.mkdir(parents=True, exist_ok=True)
     for outcome in outcomes:
         name = outcome.case.name
         if outcome.figure is not None:
             with mpl.rc_context(FIGURE_STYLE), staged(figures / f"{name}.png") as stage:
                 outcome.figure.savefig(stage)
-        write_whole(cases / f"{name}.md", render_case(outcome))
-    write_whole(page, render(outcomes, command))
-    rows = [
-        {"case": outcome.case.name, **asdict(check), "error": check.error, "verdict": check.verdict}
-        for outcome in outcomes
-        for check in outcome.checks
-    ]
-    write_json(json_path, rows)
+        write_json(folder / "validation" / f"{name}.json", store(outcome, commit))
+    results = read_results([outcome.case for outcome in outcomes], folder)
+    write_whole(folder / "validation.md", render(results, command))
 
 
-def render(outcomes: Sequence[Outcome], command: str) -> str:
-    """Return the page of verdicts."""
+def store(outcome: Outcome, commit: str) -> dict[str, Any]:
+    """Return the results of a case as they are stored, without its figure."""
     form = "{cpu}, {cores} cores (each run on one), torch {torch}, Python {python}"
-    records = [record for outcome in outcomes for record in outcome.records.values()]
-    machines = {form.format(**record["machine"]) for record in records}
-    minutes = sum(record["seconds"] for record in records) / 60
-    misses = [
-        _describe(outcome, check, default="Reason not known.")
-        for outcome in outcomes
-        for check in outcome.checks
-        if check.verdict == MISSED
-    ]
-    deviations = [
-        (check.error, _describe(outcome, check))
-        for outcome in outcomes
-        for check in find_headline(outcome)
-        if not check.is_absolute and check.error and isfinite(check.error)
-    ]
-    largest = [line for _, line in sorted(deviations, reverse=True)[:NUM_DEVIATIONS]]
-    pages = "\n".join(f"validation/{outcome.case.name}" for outcome in outcomes)
-    parts = [
+    machines = {form.format(**record["machine"]) for record in outcome.records.values()}
+    head = {"commit": commit, "machines": sorted(machines), "minutes": outcome.seconds / 60}
+    return {**head, "checks": list_rows(outcome.checks)}
+
+
+def list_rows(checks: Iterable[Check]) -> list[Row]:
+    """Return checks as they are stored."""
+    return [asdict(c) | {"error": c.error, "verdict": c.verdict} for c in checks]
+
+
+def read_results(cases: Iterable[Case], folder: Path) -> list[Result]:
+    """Return the stored results of cases; a missing file is an error."""
+    paths = [(case, folder / "validation" / f"{case.name}.json") for case in cases]
+    return [(case, json.loads(path.read_text(encoding="utf-8"))) for case, path in paths]
+
+
+def render(results: Sequence[Result], command: str) -> str:
+    """Return the page with all criteria."""
+    rows = [row for _, stored in results for row in stored["checks"]]
+    machines = sorted({machine for _, stored in results for machine in stored["machines"]})
+    commits = ", ".join(dict.fromkeys(stored["commit"] for _, stored in results))
+    minutes = sum(stored["minutes"] for _, stored in results)
+    run = f"Run at commit {commits} on {'; '.join(machines) or 'nothing'}; {minutes:.0f} minutes"
+    return _join(
         "# Validation",
         INTRODUCTION.replace("\n", " "),
         f"```sh\n{command}\n```",
-        summarise(outcomes),
-        _list("Missed criteria", misses),
-        _list("Largest deviations in the table", largest),
-        render_summary(outcomes),
+        summarise(rows),
+        _render_criteria(results),
         EXPLANATION.replace("\n", " "),
-        f"Run on {'; '.join(sorted(machines)) or 'nothing'}; {minutes:.0f} minutes of CPU time.",
-        f"```{{toctree}}\n:hidden:\n\n{pages}\n```",
-    ]
-    return _join(parts)
+        f"## Missed criteria\n\n{misses}" if (misses := _render_misses(results)) else "",
+        f"{run} of CPU time.",
+        "```{toctree}\n:hidden:\n:glob:\n\nvalidation/*\n```",
+    )
 
 
-def _join(parts: Sequence[str]) -> str:
-    return "\n\n".join(part.strip() for part in parts if part) + "\n"
-
-
-def _link(outcome: Outcome) -> str:
-    return f"[{outcome.case.title}](validation/{outcome.case.name}.md)"
-
-
-def _list(title: str, lines: Sequence[str]) -> str:
-    return "\n".join([f"**{title}**\n", *(f"- {line}" for line in lines)]) if lines else ""
-
-
-def _describe(outcome: Outcome, check: Check, *, default: str = "") -> str:
-    """Return a check in one line, with the first sentence of its note."""
-    _, ours, reference, error, *_ = _make_row(check)
-    note = re.split(r"(?<=\w[\w)])\. (?=[A-Z])", check.note)[0].removesuffix(".")
-    note = f"{note[:1].upper()}{note[1:]}." if note else default
-    numbers = f"{ours}, reference {reference}, deviation {error}."
-    return f"{_link(outcome)}, {check.quantity}: {numbers} {note}".strip()
-
-
-def summarise(outcomes: Sequence[Outcome]) -> str:
+def summarise(rows: Sequence[Row]) -> str:
     """Return one sentence with the number of checks passed, missed and recorded."""
-    verdicts = [check.verdict for outcome in outcomes for check in outcome.checks]
+    verdicts = [row["verdict"] for row in rows]
     missed = verdicts.count(MISSED)
     return (
         f"{verdicts.count(PASS)} checks pass, {f'**{missed} MISSED**' if missed else '0 missed'}, "
@@ -117,99 +104,125 @@ def summarise(outcomes: Sequence[Outcome]) -> str:
     )
 
 
-def render_summary(outcomes: Sequence[Outcome]) -> str:
-    """Return the table of verdicts: a row per case, with its headline quantity."""
-    rows = []
-    for outcome in outcomes:
-        for headline in find_headline(outcome):
-            verdicts = [check.verdict for check in outcome.checks]
-            met, missed = verdicts.count(PASS), verdicts.count(MISSED)
-            criteria = f"{met} of {met + missed}" if met + missed else "–"
-            short = headline.source if len(headline.source) <= LONGEST_SOURCE else ""
-            row = _make_row(replace(headline, source=short))
-            rows.append((_link(outcome), *row[:-1], criteria))
-    return write_table(SUMMARY, rows, has_links=True)
+def _render_criteria(results: Sequence[Result]) -> str:
+    """Return the table of all criteria, and of the quantities that stand for their case."""
+    table = []
+    for case, stored in results:
+        rows = stored["checks"]
+        headline = next((r for r in rows if r["quantity"] == case.headline), rows[0])
+        shown = [row for row in rows if row is headline or row["verdict"] != RECORDED]
+        links = [_link(case), *[""] * (len(shown) - 1)]
+        for link, row in zip(links, shown, strict=True):
+            quantity, ours, reference, error, tolerance, verdict, _ = _format(row)
+            accepted = f"{reference} ± {tolerance.removeprefix('± ')}"
+            if tolerance in ("–", "inside"):
+                accepted = reference
+            table.append((link, quantity, ours, accepted, error, verdict))
+    return write_table(SUMMARY, table, has_links=True)
 
 
-def find_headline(outcome: Outcome) -> Sequence[Check]:
-    """Return the check that stands for a case in the table of verdicts, if there is any."""
-    named = [check for check in outcome.checks if check.quantity == outcome.case.headline]
-    return (named or outcome.checks)[:1]
+def _render_misses(results: Sequence[Result]) -> str:
+    lines = []
+    for case, stored in results:
+        missed = [row for row in stored["checks"] if row["verdict"] == MISSED]
+        short = [row | {"note": FIRST_SENTENCE.split(row["note"])[0]} for row in missed]
+        reasons = _group_by_note(short)
+        lines += [f"- {_link(case)}, {names}: {note}" for (_, note), names in reasons.items()]
+    return "\n".join(lines)
 
 
-def render_table(outcomes: Sequence[Outcome]) -> str:
+def _link(case: Case) -> str:
+    return f"[{case.title}](validation/{case.name}.json)"
+
+
+def _group_by_note(rows: Iterable[Row]) -> dict[tuple[bool, str], str]:
+    """Return the quantities of each note, by whether their criterion is missed and by the note."""
+    found: dict[tuple[bool, str], list[str]] = {}
+    for row in rows:
+        is_missed = row["verdict"] == MISSED
+        if note := row["note"] or (is_missed and "reason not known."):
+            found.setdefault((is_missed, note), []).append(row["quantity"])
+    return {key: f"*{'; '.join(names)}*" for key, names in found.items()}
+
+
+def render_checks(outcomes: Sequence[Outcome]) -> str:
     """Return a row for each check, with the name of its case."""
-    rows = [(outcome.case.name, *_make_row(c)) for outcome in outcomes for c in outcome.checks]
+    rows = [(o.case.name, *_format(row)) for o in outcomes for row in list_rows(o.checks)]
     return write_table(("case", *HEADS), rows)
 
 
-def _make_row(check: Check) -> Sequence[str]:
-    is_range = isinstance(check.reference, tuple)
-    error = "inside" if is_range and check.error == 0.0 else _format_share(check, check.error)
-    is_inside = is_range and check.tolerance is None
-    tolerance = "inside" if is_inside else _format_share(check, check.tolerance)
-    numbers = (format_number(check.ours), _format_reference(check), error, tolerance)
-    verdict = f"**{MISSED}**" if check.verdict == MISSED else check.verdict
-    return (check.quantity, *numbers, verdict, check.resolution or "–")
-
-
-def render_case(outcome: Outcome) -> str:
+def render_case(case: Case, stored: Mapping[str, Any]) -> str:
     """Return the page of one case."""
-    case = outcome.case
-    parts = [
+    rows = stored["checks"]
+    table = [_format(row, has_source=True) for row in rows]
+    lines = [
+        f"- {f'**{MISSED}**: ' if is_missed else ''}{names}: {note}"
+        for (is_missed, note), names in _group_by_note(rows).items()
+    ]
+    fold = "<details>\n<summary>Values of all runs</summary>"
+    refinement = _render_refinement(rows)
+    commit, minutes = stored["commit"], stored["minutes"]
+    return _join(
         f"# {case.title}",
         case.setup,
         f"Reference: {case.source}. Back to [all cases](../validation.md).",
-    ]
-    if outcome.figure is not None:
-        parts.append(f"![{case.title}](../figures/validation/{case.name}.png)")
-    parts.append(write_table(HEADS, [_make_row(check) for check in outcome.checks]))
-    notes: dict[tuple[str, str], list[str]] = {}
-    for check in outcome.checks:
-        mark = f"**{MISSED}**: " if check.verdict == MISSED else ""
-        if note := check.note or (mark and "reason not known."):
-            notes.setdefault((mark, note), []).append(check.quantity)
-    listed = [f"- {mark}*{'; '.join(names)}*: {note}" for (mark, note), names in notes.items()]
-    parts.append("\n".join(listed))
-    if tables := _render_refinement(outcome.checks):
-        fold = "<details>\n<summary>Values of all runs</summary>"
-        parts += [fold, *tables, "</details>"]
-    parts.append(f"CPU time: {outcome.seconds / 60:.1f} minutes on one core.")
-    return _join(parts)
+        f"![{case.title}](../figures/validation/{case.name}.png)",
+        write_table(HEADS, table),
+        "\n".join(lines),
+        *([fold, *refinement, "</details>"] if refinement else []),
+        f"CPU time: {minutes:.1f} minutes on one core. Measured at commit {commit}.",
+    )
 
 
-def _render_refinement(checks: Sequence[Check]) -> list[str]:
+def _join(*parts: str) -> str:
+    return "\n\n".join(part.strip() for part in parts if part) + "\n"
+
+
+def _render_refinement(rows: Sequence[Row]) -> list[str]:
     """Return a table for each set of runs: quantities by run."""
     tables: dict[tuple[str, ...], list[Sequence[str]]] = {}
-    for check in checks:
-        if runs := tuple(check.refinement):
-            row = (check.quantity, *map(format_number, check.refinement.values()))
-            tables.setdefault(runs, []).append(row)
+    for row in rows:
+        if runs := tuple(row["refinement"]):
+            values = map(format_number, row["refinement"].values())
+            tables.setdefault(runs, []).append((row["quantity"], *values))
     return [write_table(("quantity", *runs), rows) for runs, rows in tables.items()]
 
 
-def format_number(value: float) -> str:
+def _format(row: Row, *, has_source: bool = False) -> Sequence[str]:
+    """Return the cells of a check, by ``HEADS``."""
+    is_range = isinstance(row["reference"], list | tuple)
+    error = "inside" if is_range and row["error"] == 0.0 else _format_share(row, row["error"])
+    is_inside = is_range and row["tolerance"] is None
+    tolerance = "inside" if is_inside else _format_share(row, row["tolerance"])
+    reference = _format_reference(row["reference"])
+    if has_source and row["source"]:
+        reference += f" ({row['source']})"
+    verdict = f"**{MISSED}**" if row["verdict"] == MISSED else row["verdict"]
+    numbers = (format_number(row["ours"]), reference, error, tolerance)
+    return (row["quantity"], *numbers, verdict, row["resolution"] or "–")
+
+
+def format_number(value: float | None) -> str:
     """Return five digits; "–" where there is no number."""
-    if not isfinite(value):
+    if value is None or not isfinite(value):
         return "–"
     return f"{value:.5g}" if value == 0 or 1e-3 <= abs(value) < 1e5 else f"{value:.2e}"
 
 
-def _format_reference(check: Check) -> str:
-    if check.reference is None:
-        return "–"
-    low, high = as_range(check.reference)
-    text = f"{format_number(low)} to {format_number(high)}"
+def _format_reference(reference: Any) -> str:
+    if not isinstance(reference, list | tuple):
+        return format_number(reference)
+    low, high = reference
     if low == high:
-        text = format_number(low)
-    elif high == inf:
-        text = f"≥ {format_number(low)}"
-    elif low in (0.0, -inf):
-        text = f"≤ {format_number(high)}"
-    return f"{text} ({check.source})" if check.source else text
+        return format_number(low)
+    if high in (None, inf):
+        return f"≥ {format_number(low)}"
+    if low in (None, -inf, 0.0):
+        return f"≤ {format_number(high)}"
+    return f"{format_number(low)} to {format_number(high)}"
 
 
-def _format_share(check: Check, value: float | None) -> str:
+def _format_share(row: Row, value: float | None) -> str:
     if value is None or not isfinite(value):
         return "–"
-    return f"± {value:.2g}" if check.is_absolute else f"{100 * value:.2g} %"
+    return f"± {value:.2g}" if row["is_absolute"] else f"{100 * value:.2g} %"

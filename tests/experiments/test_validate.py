@@ -15,6 +15,7 @@ from experiments.validate import CASES
 from experiments.validation import cavity, runner
 from experiments.validation.case import Check, Job, Runs
 from experiments.validation.plots import fit_order
+from experiments.validation.report import read_results, render, render_case
 from experiments.validation.runner import Outcome, fingerprint, run_cases, strip_readers
 from tests.experiments import toy_cases
 from tests.experiments.toy_cases import make_squares
@@ -39,7 +40,7 @@ def _run(tmp_path: Path, *, is_fresh: bool = False, **settings: object) -> Outco
 
 
 @pytest.mark.usefixtures("threads")
-def test_a_cached_result_is_read_and_a_changed_argument_or_a_fresh_run_runs_again(
+def test_cached_results_are_read_unless_arguments_change_or_fresh(
     tmp_path: Path,
 ) -> None:
     _run(tmp_path, values=(2.0, 3.0))
@@ -51,7 +52,7 @@ def test_a_cached_result_is_read_and_a_changed_argument_or_a_fresh_run_runs_agai
     assert _read_log(tmp_path) == ["2", "2", "3", "4"]
 
 
-def test_failed_jobs_are_misses_and_the_others_go_on(tmp_path: Path) -> None:
+def test_failed_jobs_are_misses_and_others_continue(tmp_path: Path) -> None:
     others = [(getattr(toy_cases, name), {}) for name in ("blow_up", "die", "return_a_path")]
     outcome = _run(tmp_path, others=others)
     assert len(outcome.runs.finished) == 2
@@ -62,7 +63,7 @@ def test_failed_jobs_are_misses_and_the_others_go_on(tmp_path: Path) -> None:
     assert {check.verdict for check in outcome.checks} == {"MISSED"}
 
 
-def test_a_stopped_run_keeps_what_is_finished(tmp_path: Path) -> None:
+def test_stopped_run_keeps_finished_jobs(tmp_path: Path) -> None:
     script = (
         "if __name__ == '__main__':\n"  # not in the processes that it starts
         "    import signal, sys; from pathlib import Path\n"
@@ -97,28 +98,26 @@ def run_program(
 
 
 @pytest.mark.usefixtures("threads")
-def test_a_full_run_writes_page_figure_and_checks_and_fails_with_a_missed_criterion(
+def test_full_run_writes_report_and_fails_with_missed_criterion(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    status, docs = run_program(tmp_path, monkeypatch, reference=8.0, note="nine is not eight.")
-    verdicts = (docs / "validation.md").read_text()
-    page = (docs / "validation" / "squares.md").read_text()
+    status, docs = run_program(tmp_path, monkeypatch, reference=8.0, note="Nine is not eight.")
     assert status == 1
-    row = "| square of the last | 9 | 8 (arithmetic) | 12 % | 1 % | **MISSED** |"
-    assert f"| [Squares](validation/squares.md) {row} 0 of 1 |" in verdicts
-    miss = "square of the last: 9, reference 8 (arithmetic), deviation 12 %. Nine is not eight."
-    assert verdicts.count(f"- [Squares](validation/squares.md), {miss}") == 2  # and a deviation
-    assert f"{row} x = 3 |" in page
-    assert "| quantity | x = 2 | x = 3 |" in page
-    assert "**MISSED**: *square of the last*: nine is not eight." in page
-    assert "(../figures/validation/squares.png)" in page
+    row = "| square of the last | 9 | 8 ± 1 % | 12 % | **MISSED** |"
+    page = (docs / "validation.md").read_text()
+    assert f"| [Squares](validation/squares.json) {row}" in page
+    assert "- [Squares](validation/squares.json), *square of the last*: Nine is not" in page
+    ((case, stored),) = read_results(program.CASES, docs)
+    assert (stored["checks"][0]["error"], stored["checks"][0]["verdict"]) == (0.125, "MISSED")
+    page = render_case(case, stored)
+    row = "| square of the last | 9 | 8 (arithmetic) | 12 % | 1 % | **MISSED** | x = 3 |"
+    for part in (row, "| quantity | x = 2 | x = 3 |", "(../figures/validation/squares.png)"):
+        assert part in page
     assert (docs / "figures" / "validation" / "squares.png").stat().st_size > 1000
 
 
 @pytest.mark.usefixtures("threads")
-def test_quick_and_chosen_runs_leave_the_docs_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_partial_runs_leave_docs_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for argument, reference in (("quick=true", 4.0), ("cases=[squares]", 9.0)):
         status, docs = run_program(tmp_path, monkeypatch, argument, reference=reference)
         assert status == 0
@@ -141,7 +140,7 @@ def test_quick_and_chosen_runs_leave_the_docs_alone(
         (nan, None, None, "MISSED"),
     ],
 )
-def test_the_verdict_follows_the_reference(
+def test_verdict_follows_reference_and_tolerance(
     ours: float,
     reference: float | tuple[float, float] | None,
     tolerance: float | None,
@@ -154,7 +153,7 @@ def _toy(*, size: int, speed: float = 1.0) -> dict[str, float]:
     return {"drag": size * speed}
 
 
-def test_runs_are_found_by_their_arguments_and_defaults() -> None:
+def test_runs_are_found_by_arguments_and_defaults() -> None:
     arguments = [{"size": 1}, {"size": 2, "speed": 1.0}, {"size": 2, "speed": 3.0}]
     runs = Runs([(Job(_toy, a), _toy(**a)) for a in arguments])  # type: ignore[arg-type]
     assert runs.read("drag", "size") == {1: 1.0, 2: 2.0}
@@ -167,15 +166,13 @@ def test_runs_are_found_by_their_arguments_and_defaults() -> None:
     ("old", "new", "counts"),
     [("STEADY = 1e-5", "STEADY = 1e-4", True), ("(row[0], ", "(row[1], ", False)],
 )
-def test_what_a_job_may_reach_counts_and_the_figure_does_not(
-    old: str, new: str, counts: bool
-) -> None:
+def test_source_of_readers_does_not_count(old: str, new: str, counts: bool) -> None:
     source = inspect.getsource(cavity)
     assert old in source
     assert (strip_readers(source) != strip_readers(source.replace(old, new))) is counts
 
 
-def test_fingerprints_are_unique_and_the_same_in_every_process() -> None:
+def test_fingerprints_are_unique_and_equal_in_every_process() -> None:
     program = (
         "from experiments.validate import CASES\n"
         "from experiments.validation.runner import fingerprint\n"
@@ -187,12 +184,15 @@ def test_fingerprints_are_unique_and_the_same_in_every_process() -> None:
     assert len(set(other)) == len(other)
 
 
-def test_committed_pages_are_those_that_the_program_writes() -> None:
-    listed = (ROOT / "docs" / "validation.md").read_text(encoding="utf-8")
-    for case in CASES:
-        page = (ROOT / "docs" / "validation" / f"{case.name}.md").read_text(encoding="utf-8")
-        assert page.startswith(f"# {case.title}\n\n{case.setup}\n\nReference: {case.source}.")
-        assert f"| [{case.title}](validation/{case.name}.md) | " in listed
+def test_committed_page_follows_from_stored_results() -> None:
+    docs = ROOT / "docs"
+    results = read_results(CASES, docs)
+    assert (docs / "validation.md").read_text() == render(results, "make validate")
+    for case, stored in results:
+        assert (docs / "figures" / "validation" / f"{case.name}.png").is_file()
+        for row in stored["checks"]:
+            if row["error"] is not None and row["tolerance"] is not None:
+                assert (row["error"] <= row["tolerance"]) is (row["verdict"] == "pass"), row
 
 
 def test_order_of_a_known_curve() -> None:
