@@ -1,4 +1,4 @@
-"""The memory that flows, buffers and networks need, compared with that of the machine."""
+"""Comparison of the memory of flows, buffers and networks with that of the machine."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,9 +11,9 @@ from fishrl.limits import measure_machine_memory
 
 
 class Weightless(TorchFunctionMode):
-    """Within it modules are made with their sizes but without memory: weights on device "meta".
+    """Context in which modules have weights on device "meta", which take no memory.
 
-    Conditions on tensors hold: TorchRL's PPO asks whether the weight of its critic is positive.
+    Conditions on tensors are true: TorchRL tests whether the weight of a critic is positive.
     """
 
     def __torch_function__(
@@ -27,14 +27,9 @@ class Weightless(TorchFunctionMode):
 
 
 def check_memory(*, device: torch.device | str = "cpu", **needed: float) -> None:
-    """Check that parts fit into memory together, before any of them is made.
+    """Raise ValueError if parts do not fit into the memory of ``device`` together.
 
-    Args:
-        device: where they will lie.
-        **needed: least size of each part, bytes.
-
-    Raises:
-        ValueError: with the estimate and the memory of the machine, if they do not.
+    ``needed`` are lower bounds of their sizes, bytes.
     """
     total = sum(needed.values())
     if torch.device(device).type == "cuda":

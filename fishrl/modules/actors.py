@@ -1,4 +1,4 @@
-"""Actors and critics for discrete and continuous actions, and their fully connected networks."""
+"""Actors and critics for discrete and continuous actions."""
 
 import itertools
 import math
@@ -20,16 +20,14 @@ def make_mlp(
 ) -> nn.Sequential:
     """Build a fully connected network of layer ``widths`` with ReLU between its layers.
 
-    ``is_normed`` normalises the inputs of each ReLU (Ba et al. 2016, arXiv 1607.06450).
-
-    Weights and biases have the distribution of ``nn.Linear`` but come from ``generator`` (by
-    default the global one), so that the same seed gives the same network.
+    ``is_normed`` adds layer normalisation before each ReLU (Ba et al. 2016, arXiv 1607.06450).
+    ``generator`` (by default the global one) draws weights with the distribution of ``nn.Linear``.
 
     Raises:
         ValueError: if a width is smaller than 1.
     """
     if min(widths) < 1:
-        raise ValueError(f"layer widths = {list(widths)}: every width must be at least 1")
+        raise ValueError(f"layer widths = {list(widths)}: must be at least 1")
     layers: list[nn.Module] = []
     for fan_in, fan_out in itertools.pairwise(widths):
         linear = nn.Linear(fan_in, fan_out)
@@ -54,8 +52,13 @@ def make_actor(
     Reads ``observation_stack`` ``[..., num_inputs]`` and ``action_mask`` ``[..., num_actions]``
     (bool), writes ``logits`` ``[..., num_actions]`` and the integer ``action`` ``[...]``. Under
     ``ExplorationType.DETERMINISTIC`` the action is the most probable legal one, otherwise a sample.
-    ``hidden`` are the widths of the hidden layers; ``generator`` draws the initial weights. With
-    ``return_log_prob`` it also writes ``action_log_prob`` ``[...]``, which ``ClipPPOLoss`` reads.
+
+    Args:
+        num_inputs: size of the stacked observation.
+        num_actions: number of actions, legal or not.
+        hidden: widths of the hidden layers.
+        return_log_prob: also write ``action_log_prob`` ``[...]``, which ``ClipPPOLoss`` reads.
+        generator: draws the initial weights.
     """
     network = make_mlp([num_inputs, *hidden, num_actions], generator=generator)
     return ProbabilisticActor(
@@ -77,11 +80,11 @@ def make_twin_critics(
     hidden: Sequence[int] = (256, 256),
     generator: torch.Generator | None = None,
 ) -> list[TensorDictModule]:
-    """Build two independent critics; args and errors are those of ``make_actor``.
+    """Build two independent critics; arguments are those of ``make_actor``.
 
-    Each reads ``observation_stack`` and writes ``action_value`` ``[..., num_actions]``. They come
-    as a list because TorchRL's loss resamples the weights of a single critic that it duplicates.
-    Values of illegal actions are not masked: the policy gives them probability 0.
+    Each reads ``observation_stack`` and writes ``action_value`` ``[..., num_actions]``, also of
+    illegal actions, to which the policy gives probability 0. The result is a list because TorchRL's
+    loss resamples the weights of a single critic that it duplicates.
     """
     return [
         TensorDictModule(
@@ -101,11 +104,11 @@ def make_continuous_actor(
     return_log_prob: bool = False,
     generator: torch.Generator | None = None,
 ) -> ProbabilisticActor:
-    """Build a policy that draws ``num_actions`` numbers in [-1, 1], tanh of normal ones.
+    """Build a tanh-normal policy of ``num_actions`` numbers in [-1, 1].
 
     Reads ``observation_stack`` ``[..., num_inputs]``, writes ``loc`` and ``scale`` of the normal
     distribution and ``action``, each ``[..., num_actions]``. Under
-    ``ExplorationType.DETERMINISTIC`` the action is tanh(loc), otherwise a sample. Further args are
+    ``ExplorationType.DETERMINISTIC`` the action is tanh(loc), otherwise a sample. Arguments are
     those of ``make_actor``.
     """
     network = make_mlp([num_inputs, *hidden, 2 * num_actions], generator=generator)
@@ -125,7 +128,7 @@ def make_continuous_actor(
 
 
 class _JoinedInputs(nn.Sequential):
-    """A network of several inputs ``[..., n_i]``, one after another."""
+    """A network that concatenates its inputs ``[..., n_i]``."""
 
     def forward(self, *inputs: Tensor) -> Tensor:
         joined: Tensor = super().forward(torch.cat(inputs, -1))  # type: ignore[no-untyped-call]
@@ -142,8 +145,8 @@ def make_twin_action_critics(
     """Build two independent critics of continuous actions, see ``make_twin_critics``.
 
     Each reads ``observation_stack`` and ``action``, and writes ``state_action_value`` ``[..., 1]``.
-    Normed layers keep values of actions that were never taken from growing without bound, which
-    several gradient steps per transition provoke (Ball et al. 2023, arXiv 2302.02948).
+    Layer normalisation bounds the values of actions outside the data, which otherwise diverge with
+    several gradient steps per transition (Ball et al. 2023, arXiv 2302.02948).
     """
     widths = [num_inputs + num_actions, *hidden, 1]
     return [
@@ -159,7 +162,7 @@ def make_twin_action_critics(
 def make_state_critic(
     *, num_inputs: int, hidden: Sequence[int] = (256, 256), generator: torch.Generator | None = None
 ) -> TensorDictModule:
-    """Build a critic: reads ``observation_stack`` and writes ``state_value`` ``[..., 1]``."""
+    """Build a critic that reads ``observation_stack`` and writes ``state_value`` ``[..., 1]``."""
     return TensorDictModule(
         make_mlp([num_inputs, *hidden, 1], generator=generator),
         in_keys=["observation_stack"],

@@ -1,9 +1,8 @@
 """The lateral-line classifier: predicts the flow label from the lateral-line signal.
 
-The paper's classifier is a fully connected network on one instant of
-``[t, x, y, u_x, u_y, p, |u|]``, averaged over five points. The network here is the same; its input
-is configurable: which features, and how many of the newest samples. Time and position reveal the
-flow without any sensing, so they are excluded by default.
+The classifier of the paper is a fully connected network of one instant of
+``[t, x, y, u_x, u_y, p, |u|]``, averaged over five points. Here, features and number of samples are
+settings; time and position, which reveal the flow without sensing it, are excluded by default.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,9 +17,9 @@ from fishrl.files import find_misfit, load_tensors, staged
 from fishrl.modules.actors import make_mlp
 from fishrl.settings import build
 
-#: Features of the paper that give time and position instead of the flow.
+#: Features of the paper that do not measure the flow.
 BOOKKEEPING = ("t", "x", "y")
-_FORMAT = "fishrl lateral-line machine, 1"  # the files' name for the classifier
+_FORMAT = "fishrl lateral-line machine, 1"  # as written by version 0.1
 _SENSOR_KEYS = ("num_neuromasts", "features", "num_samples")
 #: Parameters of a flow or of the lateral line, by name.
 Parameters = Mapping[str, str | bool | int | float | Sequence[str | int | float] | None]
@@ -29,22 +28,22 @@ Parameters = Mapping[str, str | bool | int | float | Sequence[str | int | float]
 class LateralLineClassifier(nn.Module):
     """Classifier of flows; maps ``lateral_line`` ``[..., W, P, F]`` to logits ``[..., n]``.
 
-    W samples (oldest first, equally spaced in time), P neuromasts, F features, n flows. What is
-    read becomes (value - ``mean``) / ``scale``, ``[P, F']`` each; see ``set_normalisation``.
+    W samples (oldest first, equidistant in time), P neuromasts, F features, n flows. The network
+    reads F' features as (value - ``mean``) / ``scale``, both ``[P, F']``.
 
     Args:
-        flows: parameters that distinguish the n flows, one mapping per class, by ``flow_index``,
-            each with a ``name`` and numbers such as ``stream_speed_bl``.
-        sensors: description of the lateral line: ``num_neuromasts``, the names of its ``features``,
-            ``num_samples`` per control interval, and other parameters it depends on.
-        features: names of those that are read; by default all but time and position.
-        num_samples: how many of the newest samples are read; by default those of one control
+        flows: parameters of the n flows, ordered by ``flow_index``, with a unique ``name`` each and
+            numbers such as ``stream_speed_bl``.
+        sensors: parameters of the lateral line: ``num_neuromasts``, names of its ``features``,
+            ``num_samples`` per control interval, and others.
+        features: names of the features that are read; by default all but time and position.
+        num_samples: number of newest samples that are read; by default the samples of one control
             interval. More need the concatenated signals of several intervals.
         hidden: widths of the hidden layers.
-        generator: source of the initial weights.
+        generator: draws the initial weights.
 
     Raises:
-        ValueError: for flows that share a name, or features that the sensors do not have.
+        ValueError: for repeated names of flows or unknown features.
     """
 
     mean: Tensor
@@ -97,7 +96,7 @@ class LateralLineClassifier(nn.Module):
         return -(-self.num_samples // int(self.sensors["num_samples"]))
 
     def read(self, lateral_line: Tensor) -> Tensor:
-        """Select the network's input: ``[..., W, P, F]`` to ``[..., num_samples, P, F']``."""
+        """Return the input of the network, ``[..., num_samples, P, F']``."""
         expected = (int(self.sensors["num_neuromasts"]), len(self.sensors["features"]))
         got = tuple(lateral_line.shape[-3:])
         if len(got) < 3 or got[0] < self.num_samples or got[1:] != expected:
@@ -110,7 +109,7 @@ class LateralLineClassifier(nn.Module):
 
     @torch.no_grad()
     def set_normalisation(self, lateral_line: Tensor) -> None:
-        """Set mean and scale to those of signals ``[N, ...]``; a constant feature gets scale 1."""
+        """Set mean and scale from signals ``[N, ...]``; constant features get scale 1."""
         signal = self.read(lateral_line).flatten(0, -3).double()
         mean, scale = signal.mean(0), signal.std(0, unbiased=False)
         is_constant = scale <= 1e-6 * (1.0 + mean.abs())  # signals are of order one
@@ -118,13 +117,13 @@ class LateralLineClassifier(nn.Module):
         self.scale.copy_(torch.where(is_constant, 1.0, scale))
 
     def forward(self, lateral_line: Tensor) -> Tensor:
-        """Return logits ``[..., n]``; see ``read`` for what is expected."""
+        """Return logits ``[..., n]``."""
         signal = (self.read(lateral_line) - self.mean) / self.scale
         logits: Tensor = self.network(signal.flatten(-3))
         return logits
 
     def check(self, *, flows: Sequence[Mapping[str, Any]], sensors: Mapping[str, Any]) -> None:
-        """Raise ValueError unless the classifier was trained for these flows and sensors."""
+        """Raise ValueError if the classifier was trained for other flows or sensors."""
         names = [{"names": [flow.get("name") for flow in each]} for each in (self.flows, flows)]
         described: list[tuple[str, Mapping[str, Any], Mapping[str, Any]]] = [
             ("flows", names[0], names[1]),
@@ -141,7 +140,7 @@ class LateralLineClassifier(nn.Module):
                     )
 
     def save(self, path: str | Path) -> None:
-        """Write weights, normalisation, flows and sensors to one file."""
+        """Write weights, normalisation, flows and sensors to a file."""
         names = ("flows", "sensors", "features", "num_samples", "hidden")
         settings = {name: getattr(self, name) for name in names}
         state = {name: value.cpu() for name, value in self.state_dict().items()}
@@ -150,19 +149,19 @@ class LateralLineClassifier(nn.Module):
 
     @classmethod
     def load(cls, path: str | Path) -> "LateralLineClassifier":
-        """Read a classifier, on the CPU and in ``eval`` mode; raise ValueError for other files."""
+        """Read a classifier to the CPU, in ``eval`` mode; raise ValueError for invalid files."""
         what, remedy = "lateral-line classifier", "write one with fishrl train-lateral-line"
         content = load_tensors(path, what=what, remedy=remedy)
         try:
             if content["format"] != _FORMAT:
                 raise ValueError("it has another format")
-            with torch.device("meta"):  # sizes in a file may be of any size
+            with torch.device("meta"):  # the file may ask for any size
                 classifier = build(cls, content["settings"])
             own = classifier.state_dict().items()
             like = {name: f"float32 {list(tensor.shape)}" for name, tensor in own}
             if problem := find_misfit(content["state"], like):
                 raise ValueError(problem)
-        except Exception as error:  # settings of other types raise any
+        except Exception as error:  # invalid types raise anything
             said = " ".join(str(error).split())
             raise ValueError(f"{what} {path}: the file does not fit ({said}); {remedy}") from error
         classifier.load_state_dict(content["state"], assign=True)

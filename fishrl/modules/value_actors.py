@@ -1,4 +1,4 @@
-"""Policies of value-based algorithms: action values, an optional LSTM, epsilon-greedy."""
+"""Policies of value-based algorithms: action values, LSTM, epsilon-greedy."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from torchrl.modules import EGreedyModule, LSTMModule, QValueModule
 
 from fishrl.modules.actors import make_mlp
 
-#: Keys of the LSTM state. The network writes the new state under ``("next", key)``.
+#: Keys of the LSTM state; the network writes the new state under ``("next", key)``.
 MEMORY = ("recurrent_state_h", "recurrent_state_c")
 
 
@@ -27,9 +27,9 @@ def make_value_actor(
 ) -> TensorDictSequential:
     """Build a network of action values with a greedy policy over the legal actions.
 
-    Reads, args and errors are those of ``make_actor``. It writes ``action_value``
-    ``[..., num_actions]`` (the most negative float for illegal actions), the integer ``action``
-    ``[...]`` and its ``chosen_action_value`` ``[..., 1]``.
+    Inputs and arguments are those of ``make_actor``. Writes ``action_value`` ``[..., num_actions]``
+    (the most negative float for illegal actions), the integer ``action`` ``[...]`` and its
+    ``chosen_action_value`` ``[..., 1]``.
     """
     network = make_mlp([num_inputs, *hidden, num_actions], generator=generator)
     return TensorDictSequential(
@@ -47,15 +47,15 @@ def make_recurrent_value_actor(
 ) -> TensorDictSequential:
     """Build a network of action values whose last hidden layer is an LSTM.
 
-    It reads one ``observation`` of length ``num_inputs``, ``action_mask``, ``is_init`` ``[...,
-    1]``, which resets the LSTM state, and that state, ``MEMORY`` ``[..., 1, hidden[-1]]``; the new
-    state is written under ``next``. It writes the keys of ``make_value_actor``.
+    Reads one ``observation`` ``[..., num_inputs]``, ``action_mask``, the LSTM state ``MEMORY``
+    ``[..., 1, hidden[-1]]`` and ``is_init`` ``[..., 1]``, which resets that state. Writes the new
+    state under ``next`` and the outputs of ``make_value_actor``.
 
     Raises:
-        ValueError: if there is no hidden layer, or a width is smaller than 1.
+        ValueError: if there is no hidden layer.
     """
     if not hidden:
-        raise ValueError(f"hidden = {list(hidden)}: give at least one width, the size of the LSTM")
+        raise ValueError(f"hidden = {list(hidden)}: must have at least one width, for the LSTM")
     *before, size = hidden
     layers: list[TensorDictModuleBase] = []
     if before:
@@ -84,9 +84,9 @@ def make_recurrent_value_actor(
 
 
 class RecurrentPolicy(TensorDictModuleBase):
-    """Recurrent policy that keeps its LSTM state between calls, for evaluation in any environment.
+    """Recurrent policy that keeps its LSTM state between calls, for evaluation.
 
-    ``is_init`` resets the state of its rows; a new number of rows resets all of it. To collect
+    ``is_init`` resets the state of a row, a new batch size the state of all rows. To collect
     transitions for a replay buffer, use ``network`` in an environment with the transform of
     ``make_primer``, which stores the state with the observation.
 
@@ -113,7 +113,7 @@ class RecurrentPolicy(TensorDictModuleBase):
         return tensordict.set("action", after["action"])
 
     def make_primer(self) -> TensorDictPrimer:
-        """Return the transform that adds the LSTM state of ``network`` to an environment."""
+        """Return the transform that adds the LSTM state to the data of an environment."""
         lstm = next(part for part in self.network.modules() if isinstance(part, LSTMModule))
         return lstm.make_tensordict_primer()
 
@@ -121,9 +121,8 @@ class RecurrentPolicy(TensorDictModuleBase):
 class EpsilonGreedy(EGreedyModule):
     """Epsilon-greedy exploration: replace a decaying share of actions by random legal ones.
 
-    Append it to a greedy policy. Under ``ExplorationType.DETERMINISTIC`` it does nothing. The
-    current epsilon, which decays linearly from ``start`` to ``end`` over ``num_frames`` decisions,
-    is the buffer ``eps`` and part of the ``state_dict``.
+    Append it to a greedy policy. It is inactive under ``ExplorationType.DETERMINISTIC``. The buffer
+    ``eps`` decays linearly from ``start`` to ``end`` over ``num_frames`` decisions.
     """
 
     def __init__(

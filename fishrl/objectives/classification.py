@@ -1,7 +1,7 @@
-"""Fit a classifier of signals: cross-entropy, Adam, and data that are split by episode.
+"""Fit a classifier of signals with cross-entropy, Adam, and data that are split by episode.
 
-Neighbouring samples of one episode are almost the same: a split by sample would inflate the
-accuracy by leakage. So the parts that fit, stop and test share no episode.
+Neighbouring samples of an episode are nearly equal, so that leakage would inflate the accuracy of a
+split by sample. Training, validation and test parts therefore share no episode.
 """
 
 from collections.abc import Sequence
@@ -19,14 +19,14 @@ from fishrl.settings import Settings
 
 
 class FitSettings(Settings):
-    """How a classifier is fitted.
+    """Settings of a fit.
 
     Args:
         learning_rate: Adam's learning rate.
         batch_size: samples per gradient step.
-        num_epochs: passes over the data at most.
-        patience: epochs without a lower validation loss after which the fit ends with the weights
-            of the lowest one; None runs all epochs and keeps the last weights.
+        num_epochs: largest number of passes over the data.
+        patience: number of epochs without a lower validation loss after which the fit stops with
+            the weights of the lowest loss; None runs all epochs and keeps the last weights.
         weight_decay: Adam's L2 penalty.
     """
 
@@ -38,15 +38,15 @@ class FitSettings(Settings):
 
     @classmethod
     def of_the_paper(cls) -> "FitSettings":
-        """Adam at 0.01, batches of 64, 1000 epochs; meant for 6000 samples."""
+        """Return the settings of the paper for its 6000 samples."""
         return cls(learning_rate=0.01, batch_size=64, num_epochs=1000, patience=None)
 
 
 @dataclass(kw_only=True)
 class Curves:
-    """Accuracy and loss after each epoch; ``chosen_epoch``, from 0, gave the weights kept.
+    """Loss and accuracy per epoch; ``chosen_epoch`` (from 0) gave the final weights.
 
-    Those of the training part are means over the epoch, while the weights still change.
+    Training values are means over the epoch, during which the weights change.
     """
 
     train_loss: list[float] = field(default_factory=list)
@@ -58,9 +58,9 @@ class Curves:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """How well a classifier does on some data."""
+    """Scores of a classifier on a data set."""
 
-    accuracy: float  #: share of samples that are classified correctly
+    accuracy: float  #: share of correctly classified samples
     loss: float  #: mean cross-entropy, in nats
     #: ``[n, n]`` int64, samples of each true class (row) by predicted class (column)
     confusion: Tensor
@@ -69,22 +69,22 @@ class Score:
 def split_episodes(
     episode: Tensor, label: Tensor, *, shares: Sequence[float], generator: torch.Generator
 ) -> list[Tensor]:
-    """Divide samples into parts that share no episode, each with episodes of every class.
+    """Split samples into parts without common episodes, each with episodes of every class.
 
     Args:
-        episode: ``[N]`` int64, the episode of each sample.
-        label: ``[N]`` int64; an episode belongs to the class of its first sample.
+        episode: episode of each sample, ``[N]`` int64.
+        label: class of each sample, ``[N]`` int64; the first sample gives the class of an episode.
         shares: share of the episodes for each part; positive, with sum 1.
         generator: draws the episodes of each part.
 
     Returns:
-        One mask ``[N]`` bool per part.
+        A mask ``[N]`` bool per part.
 
     Raises:
-        ValueError: for other shares, or if a class has fewer episodes than there are parts.
+        ValueError: for invalid shares, or if a class has fewer episodes than parts.
     """
     if min(shares) <= 0.0 or abs(sum(shares) - 1.0) > 1e-6:
-        raise ValueError(f"shares = {shares}: must be positive and of sum 1")
+        raise ValueError(f"shares = {shares}: must be positive and sum to 1")
     parts = [torch.zeros_like(label, dtype=torch.bool) for _ in shares]
     known, at = episode.unique(return_inverse=True)
     place = torch.arange(len(at), device=at.device)
@@ -94,10 +94,10 @@ def split_episodes(
         if len(ids) < len(shares):
             raise ValueError(
                 f"class {int(kind)} has {len(ids)} episodes for {len(shares)} parts: collect at "
-                "least one of every class for each part"
+                "least one per part"
             )
         ids = ids[torch.randperm(len(ids), generator=generator)]
-        # One episode for each part, the rest by shares.
+        # one episode for each part, the rest by shares
         cumulative = torch.tensor([0.0, *shares], dtype=torch.float64).cumsum(0)
         ends = (cumulative * (len(ids) - len(shares))).round().long()
         ends = ends + torch.arange(len(shares) + 1)
@@ -115,22 +115,24 @@ def fit_classifier(
     generator: torch.Generator,
     noise: Tensor | float = 0.0,
 ) -> Curves:
-    """Fit a classifier of ``lateral_line`` ``[N, ...]`` to logits ``[N, n]`` in place.
+    """Fit a classifier in place.
 
     Args:
-        classifier: the network.
+        classifier: network from signals ``[N, ...]`` to logits ``[N, n]``.
         training: TensorDict ``[N]`` with ``lateral_line`` and ``flow_index`` ``[N]`` int64.
-        validation: the same, of other episodes; it decides only when to stop.
+        validation: samples of other episodes, used only for early stopping.
         settings: see ``FitSettings``.
         generator: draws batches and noise.
-        noise: standard deviation of what is added to the signals of each batch, of a shape that
-            broadcasts over them.
+        noise: standard deviation of Gaussian noise on the signals, broadcast over them.
+
+    Raises:
+        ValueError: if a part is empty or not finite.
     """
     for name, part in (("training", training), ("validation", validation)):
         if part.shape[0] == 0:
-            raise ValueError(f"{name} holds no samples: collect more, or change the shares")
+            raise ValueError(f"{name} holds no samples: collect more or change the shares")
         if not part["lateral_line"].isfinite().all():
-            raise ValueError(f"{name} holds NaN or infinity: leave out what has diverged")
+            raise ValueError(f"{name} holds NaN or infinity: exclude diverged episodes")
     signals, labels = training["lateral_line"], training["flow_index"]
     has_noise = bool(torch.as_tensor(noise).any())
     optimiser = torch.optim.Adam(
@@ -171,7 +173,7 @@ def fit_classifier(
 
 @torch.no_grad()
 def score_classifier(classifier: nn.Module, data: TensorDictBase) -> Score:
-    """Score a classifier on data as for ``fit_classifier``; it is left in ``eval`` mode."""
+    """Score a classifier on ``data`` (see ``fit_classifier``) and leave it in ``eval`` mode."""
     classifier.eval()
     logits, label = classifier(data["lateral_line"]), data["flow_index"]
     num = logits.shape[-1]

@@ -1,14 +1,13 @@
 """Discrete soft actor-critic with action masks.
 
-Christodoulou 2019, "Soft Actor-Critic for Discrete Action Settings", eqs. 10-12, as TorchRL's
-``DiscreteSACLoss`` implements it. Differences:
+Christodoulou 2019, "Soft Actor-Critic for Discrete Action Settings", eqs. 10-12. Differences from
+TorchRL's ``DiscreteSACLoss``:
 
-* The actor loss never multiplies a zero probability by the logit of an illegal action, which is
-  infinite in TorchRL's default and would make losses and gradients NaN.
-* The target entropy of a state is a share of log(number of *legal* actions), not of log(number of
-  actions). The latter is out of reach where actions are masked, and the temperature would grow
-  without bound.
-* There is no ``skip_done_states``: it treats truncated states as terminal with value 0.
+* The actor loss does not multiply a zero probability by the logit of an illegal action, whose
+  default of minus infinity would make losses and gradients NaN.
+* The target entropy of a state is a share of log(number of *legal* actions). A share of log(number
+  of actions) may be unattainable, and the temperature would grow without bound.
+* There is no ``skip_done_states``, which treats truncated states as terminal.
 """
 
 import math
@@ -23,24 +22,17 @@ from torchrl.objectives import DiscreteSACLoss
 class MaskedDiscreteSACLoss(DiscreteSACLoss):
     """Discrete SAC loss for actors with an action mask.
 
-    With every action legal it equals TorchRL's ``DiscreteSACLoss`` with ``deactivate_vmap`` bit for
-    bit. Actions are integers (categorical). An additional output, ``entropy_fraction``, is the mean
-    of entropy / log(number of legal actions) over states with more than one legal action: 0 for a
-    deterministic policy, 1 for a uniform one.
-
-    Every state, including terminal ones, must have at least one legal action.
+    If every action is legal, it equals TorchRL's ``DiscreteSACLoss`` with ``deactivate_vmap`` bit
+    for bit. Actions are integers. The additional output ``entropy_fraction`` is the mean of entropy
+    / log(number of legal actions) over states with a choice: 0 for a deterministic policy, 1 for a
+    uniform one. Every state, including terminal ones, needs a legal action.
 
     Args:
         actor_network: policy with a mask, see ``fishrl.modules.make_actor``.
-        qvalue_network: list of two or more critics of the observation, ``action_value`` ``[...,
-            num_actions]``. A list keeps the initial weights; the parent resamples those of a single
-            module.
+        qvalue_network: list of two or more critics, see ``fishrl.modules.make_twin_critics``.
         num_actions: number of actions, legal or not.
         alpha_init: initial temperature.
-        target_entropy_weight: target entropy as a share of the maximum entropy, log(num_legal).
-
-    The critics' loss is TorchRL's ``qvalue_loss``; its target averages over the masked policy of
-    the next state, so that illegal actions have no weight.
+        target_entropy_weight: target entropy as a share of the maximum, log(num_legal).
     """
 
     out_keys = ["loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy", "entropy_fraction"]
@@ -57,8 +49,8 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
     ) -> None:
         if not isinstance(qvalue_network, (list, tuple)) or len(qvalue_network) < 2:
             raise ValueError(
-                "qvalue_network: must be a list of at least two critics, as make_twin_critics "
-                "gives; the weights of a single one would be resampled"
+                "qvalue_network: must be a list of at least two critics, see make_twin_critics; "
+                "TorchRL would resample the weights of a single one"
             )
         super().__init__(
             actor_network,
@@ -68,7 +60,7 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
             num_qvalue_nets=len(qvalue_network),
             alpha_init=alpha_init,
             target_entropy_weight=target_entropy_weight,
-            deactivate_vmap=True,  # two small critics are faster one after the other
+            deactivate_vmap=True,  # slower for two small critics
         )
         largest = [math.log(max(count, 1)) for count in range(num_actions + 1)]
         self.register_buffer("_largest_entropy", self.log_alpha.detach().new_tensor(largest))
@@ -77,7 +69,7 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
 
     @dispatch  # type: ignore[untyped-decorator]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Compute the losses of a batch of transitions and write ``td_error`` into it."""
+        """Compute the losses of a batch of transitions, and write ``td_error`` into it."""
         loss_qvalue, value_metadata = self.qvalue_loss(tensordict)
         loss_actor, actor_metadata = self.actor_loss(tensordict)
         log_prob, num_legal = actor_metadata["log_prob"], actor_metadata["num_legal"]
@@ -112,8 +104,8 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         """Compute E_s[sum_a pi(a|s) (alpha log pi(a|s) - min_i Q_i(s, a))] over legal actions.
 
         Returns:
-            The loss, and the detached ``log_prob`` ``[B]`` (its expectation under the policy, that
-            is minus the entropy) and ``num_legal`` ``[B]``.
+            The loss, and ``log_prob`` ``[B]`` (minus the entropy, detached) and ``num_legal``
+            ``[B]``.
         """
         mask = tensordict["action_mask"]
         with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
@@ -133,9 +125,9 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         return loss, metadata
 
     def _temperature_loss(self, log_prob: Tensor, num_legal: Tensor) -> Tensor:
-        """Compute -log(alpha) (E[log pi] + target): Christodoulou 2019, eq. 11, with log(alpha).
+        """Compute -log(alpha) (E[log pi] + target) of states with a choice, ``[B]``.
 
-        States with a single legal action do not contribute.
+        Christodoulou 2019, eq. 11, with log(alpha) in place of alpha.
         """
         gap = log_prob + self.target_entropy_by_count[num_legal]
         loss: Tensor = -self.log_alpha * torch.where(num_legal > 1, gap, torch.zeros_like(gap))

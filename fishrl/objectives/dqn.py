@@ -9,7 +9,7 @@ from torchrl.objectives import DQNLoss, distance_loss
 
 
 class MaskedDQNLoss(DQNLoss):
-    """TorchRL's ``DQNLoss`` for networks that read an action mask; see ``make_value_actor``.
+    """TorchRL's ``DQNLoss`` for networks that read an action mask.
 
     Mnih et al. 2015, "Human-level control through deep reinforcement learning", and with
     ``is_double`` van Hasselt et al. 2016, "Deep Reinforcement Learning with Double Q-learning". The
@@ -17,8 +17,8 @@ class MaskedDQNLoss(DQNLoss):
     are bootstrapped, terminated ones are not.
 
     Args:
-        value_network: writes ``action_value`` and the greedy legal ``action``; must read the mask.
-        is_double: select the next action by the online network and evaluate it by the target.
+        value_network: see ``fishrl.modules.make_value_actor``.
+        is_double: select the next action by the online network, evaluate it by the target network.
     """
 
     out_keys = ["loss_qvalue"]
@@ -26,8 +26,8 @@ class MaskedDQNLoss(DQNLoss):
     def __init__(self, value_network: TensorDictSequential, *, is_double: bool = False) -> None:
         if "action_mask" not in value_network.in_keys:
             raise ValueError(
-                f"value_network reads {value_network.in_keys}, not 'action_mask': targets could be "
-                "values of illegal actions; create it with make_value_actor"
+                f"value_network reads {value_network.in_keys}, not 'action_mask', so that targets "
+                "could be values of illegal actions: create it with make_value_actor"
             )
         super().__init__(
             value_network,
@@ -46,17 +46,14 @@ class RecurrentDQNLoss(MaskedDQNLoss):
 
     Hausknecht & Stone 2015, "Deep Recurrent Q-Learning for Partially Observable MDPs"; a sequence
     starts from its stored LSTM state (Kapturowski et al. 2019, "Recurrent Experience Replay in
-    Distributed Reinforcement Learning").
-
-    TorchRL's ``DQNLoss`` evaluates recurrent networks on the next states from a state that it has
-    just overwritten, mostly with zeros. This loss evaluates all states of a sequence and the one
-    after it in a single pass, with the online weights and with those of the target.
+    Distributed Reinforcement Learning"). All L + 1 states of a sequence are evaluated in one pass
+    with the online and one with the target weights. TorchRL's ``DQNLoss`` instead evaluates the
+    next states from an LSTM state that it has just overwritten, mostly with zeros.
 
     Args:
         value_network: see ``fishrl.modules.make_recurrent_value_actor``.
-        sequence_length: transitions L of a sequence. A batch ``[N * L]`` holds N consecutive
-            sequences; shorter ones are padded, and ``("collector", "mask")`` ``[N * L]`` is true
-            for real transitions.
+        sequence_length: transitions L of a sequence. A batch ``[N * L]`` holds N sequences, padded
+            if shorter; ``("collector", "mask")`` ``[N * L]`` is true for real transitions.
         is_double: see ``MaskedDQNLoss``.
     """
 
@@ -70,7 +67,7 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         self.sequence_length = sequence_length
 
     def _set_in_keys(self) -> None:
-        """List the entries that a transition must have (no LSTM state of the next state)."""
+        """List the required entries of a transition, without the next LSTM state."""
         after = (*self._OBSERVED, "reward", "done", "terminated")
         following = (("next", key) for key in after)
         self._in_keys = ["action", "is_init", *self._MEMORY, *self._OBSERVED, *following]
@@ -88,21 +85,17 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         next_value = target.gather(-1, selecting.argmax(-1, keepdim=True))
         td_target = self.value_estimator.value_estimate(batch, next_value=next_value).squeeze(-1)
         is_real = batch["collector", "mask"].reshape(chosen.shape)
-        # The action of padding may be illegal, and its value squared would be infinite.
+        # an illegal action in the padding would make the loss infinite
         loss = distance_loss(chosen.where(is_real, td_target), td_target, self.loss_function)
         return TensorDict({"loss_qvalue": loss.sum() / is_real.sum()})
 
     def _states(self, batch: TensorDictBase) -> TensorDict:
-        """Return the states of sequences ``[N, L]`` and the one after each, ``[N, L + 1]``.
-
-        After the first state they are the next states of the transitions, which also holds where
-        padding repeats the last transition.
-        """
+        """Return the states ``[N, L + 1]`` of sequences ``[N, L]``: the first and all next ones."""
         begins = batch["is_init"][:, :1]
         states = {
             key: torch.cat((batch[key][:, :1], batch["next", key]), 1) for key in self._OBSERVED
         }
-        for key in self._MEMORY:  # only that of the first state is read
+        for key in self._MEMORY:  # the network reads the first only
             first = batch[key][:, :1] * ~begins.unsqueeze(-1)
             states[key] = first.expand(-1, self.sequence_length + 1, *first.shape[2:])
         num = (batch.shape[0], self.sequence_length + 1)
@@ -110,7 +103,7 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         return TensorDict(states, num)
 
     def _values(self, states: TensorDict, weights: TensorDictBase) -> Tensor:
-        """Return values ``[N, L + 1, num_actions]``, the most negative float if illegal."""
+        """Return action values ``[N, L + 1, num_actions]``, hugely negative if illegal."""
         with weights.to_module(self.value_network, preserve_module_state=False):
             values: Tensor = self.value_network(states.clone(False))["action_value"]
         return values

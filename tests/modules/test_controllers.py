@@ -1,4 +1,4 @@
-"""The hand-crafted controllers: bearing, interception, seeds and masks."""
+"""Hand-crafted controllers: bearing, interception, seeds and masks."""
 
 import math
 from collections.abc import Callable
@@ -22,9 +22,9 @@ def seen(
     speed: float = 0.4,
     room: float = math.inf,
 ) -> TensorDict:
-    """What a fish that has swum straight sees of food that lies at ``food`` from its head.
+    """Return the observation of a fish that has swum straight; ``food`` is relative to its head.
 
-    The food turns round after ``room``.
+    The food reverses after ``room`` body lengths.
     """
     ahead = food_velocity * LEAD_T * torch.arange(160)
     ahead = torch.minimum(ahead, 2 * room - ahead)
@@ -44,13 +44,13 @@ def seen(
     )
 
 
-def test_random_actions_are_uniform_over_legal_ones_and_repeat_with_the_seed() -> None:
+def test_random_actions_are_legal_uniform_and_seeded() -> None:
     mask = torch.tensor([[True, False, True]]).expand(9000, 3)
     td = TensorDict({"action_mask": mask, "observation": torch.zeros(9000, 4)}, [9000])
     state = torch.get_rng_state()
     first, second, other = (RandomPolicy(seed=s)(td.clone())["action"] for s in (0, 0, 1))
     numbers, same = (RandomPolicy(seed=0, num_numbers=2)(td.clone())["action"] for _ in range(2))
-    assert torch.equal(torch.get_rng_state(), state)  # the global generator is left alone
+    assert torch.equal(torch.get_rng_state(), state)
     counts = torch.bincount(first, minlength=3)
     assert counts[1] == 0
     # Binomial with n = 9000, p = 1/2: 4.5 standard deviations are 213.
@@ -63,12 +63,12 @@ def test_random_actions_are_uniform_over_legal_ones_and_repeat_with_the_seed() -
 
 
 @pytest.mark.parametrize("kind", [PursuitPolicy, InterceptPolicy])
-@pytest.mark.parametrize("heading", [math.pi, 0.0, 2.0, -2.5])
-@pytest.mark.parametrize("error", [0.4 * TURN, 0.6 * TURN, 3.0, -0.4 * TURN, -0.6 * TURN, -3.0])
-def test_still_food_more_than_half_a_turn_off_is_turned_towards_at_any_heading(
+@pytest.mark.parametrize("heading", [math.pi, -2.5])
+@pytest.mark.parametrize("error", [0.4 * TURN, 0.6 * TURN, -0.6 * TURN, -3.0])
+def test_controllers_turn_towards_still_food_at_any_heading(
     error: float, heading: float, kind: Callable[..., PursuitPolicy | InterceptPolicy]
 ) -> None:
-    """Continuous pursuit turns by the error, at full speed; interception aims off a little."""
+    """Continuous pursuit turns by the heading error at full speed; interception leads slightly."""
     place = 5 * math.cos(heading + error), 5 * math.sin(heading + error)
     td = seen(food=place, heading=heading)
     action = KEEP if abs(error) < 0.5 * TURN else (COUNTER_CLOCKWISE, CLOCKWISE)[error < 0]
@@ -85,28 +85,27 @@ def test_still_food_more_than_half_a_turn_off_is_turned_towards_at_any_heading(
 
 def test_intercept_leads_moving_food_unlike_pursuit() -> None:
     for way, action in ((1, CLOCKWISE), (-1, COUNTER_CLOCKWISE)):
-        # Food dead ahead of a fish that faces -x; upwards is to its right.
+        # food dead ahead of a fish that faces -x; +y is to its right
         td = seen(food=(-3.0, 0.0), heading=math.pi, food_velocity=0.3 * way)
         assert PursuitPolicy()(td.clone())["action"].tolist() == [KEEP]
         assert InterceptPolicy()(td)["action"].tolist() == [action]
 
 
 def test_intercept_predicts_reversals() -> None:
-    # The fish is 4 L away at the same height. When it arrives, food that turns round after 0.1 L
-    # is below.
+    # food 4 L ahead that reverses after 0.1 L is below when the fish arrives
     for room, action in ((math.inf, CLOCKWISE), (0.1, COUNTER_CLOCKWISE)):
         td = seen(food=(-4.0, 0.0), heading=math.pi, food_velocity=0.3, room=room)
         assert InterceptPolicy()(td)["action"].tolist() == [action]
 
 
-def test_intercept_does_not_circle_food_inside_its_turning_circle() -> None:
-    """Food abeam at less than the turning diameter: turning towards it would circle it for ever."""
+def test_intercept_does_not_circle_close_food() -> None:
+    """Turning towards food abeam within the turning diameter would circle it forever."""
     td = seen(food=(0.0, 1.5), heading=0.0)
     assert PursuitPolicy()(td.clone())["action"].tolist() == [COUNTER_CLOCKWISE]
     assert InterceptPolicy()(td)["action"].tolist() != [COUNTER_CLOCKWISE]
 
 
-def test_damped_pursuit_stops_bending_before_the_fish_has_turned_too_far() -> None:
+def test_yaw_damping_prevents_overshoot() -> None:
     own = torch.zeros(1, 5)
     for yaw_rate, action in ((0.0, COUNTER_CLOCKWISE), (2.0, KEEP), (6.0, CLOCKWISE)):
         own[0, -1] = yaw_rate  # radians per T

@@ -1,4 +1,4 @@
-"""Frequency controllers, and the action that follows a commanded frequency."""
+"""Frequency controllers and the actions for a commanded frequency."""
 
 import pytest
 import torch
@@ -12,7 +12,7 @@ ROWS = ((0.5, 1.0, 1.5), (0.6, 1.2, 1.8))
 def see(
     x: list[float], *, change: float = 0.0, gear: int = 1, flow: int = 0, is_init: bool = False
 ) -> TensorDict:
-    """Return what fish at distances ``x`` see."""
+    """Return the observations of fish at distances ``x``."""
     num = len(x)
     place, drift = torch.zeros(2, num, 2, dtype=torch.float64)
     place[:, 0], drift[:, 0] = torch.tensor(x), change
@@ -33,7 +33,7 @@ def act(policy: GaitPolicy, seen: TensorDict) -> list[int]:
     return policy(seen)["action"].tolist()
 
 
-def test_fixed_frequency_of_a_flow_is_reached_gear_by_gear() -> None:
+def test_fixed_frequency_is_reached_gear_by_gear() -> None:
     for frequency, actions in ((1.4, [2, 2, 1]), (0.0, [1, 0, 0])):
         policy = GaitPolicy(controller=FixedFrequency(frequency), rows=ROWS)
         assert [act(policy, see([1.5], gear=gear))[0] for gear in range(3)] == actions
@@ -43,7 +43,7 @@ def test_fixed_frequency_of_a_flow_is_reached_gear_by_gear() -> None:
     assert act(policy, between) == [2]
 
 
-def test_direct_and_continuous_actions_are_the_nearest_and_the_clamped_frequency() -> None:
+def test_direct_actions_are_nearest_and_continuous_ones_clamped() -> None:
     policy = GaitPolicy(controller=FixedFrequency(1.2), rows=ROWS[:1], is_direct=True)
     assert act(policy, see([1.5, 3.0], gear=0, flow=1)) == [1, 1]
     asked = [0.0, 0.5, 1.0, 9.0]
@@ -52,13 +52,13 @@ def test_direct_and_continuous_actions_are_the_nearest_and_the_clamped_frequency
     assert given == [[[-1.0]], [[-1.0]], [[0.0]], [[1.0]]]
 
 
-def test_bang_bang_accelerates_behind_the_station_and_decelerates_ahead() -> None:
+def test_bang_bang_accelerates_behind_station() -> None:
     policy = GaitPolicy(controller=bang_bang, rows=ROWS)
     assert act(policy, see([2.0, 2.2])) == [0, 2]
     assert act(policy, see([1.9], gear=0)) == [1]
 
 
-def test_pid_beats_faster_behind_the_station_of_a_row_and_when_drifting_back() -> None:
+def test_pid_beats_faster_behind_station_and_drifting_back() -> None:
     controller = PID(station_bl=2.0, frequency=1.0, gain=1.0, damping=2.0)
     policy = GaitPolicy(controller=controller, rows=ROWS)
     assert act(policy, see([1.4, 2.0, 2.6])) == [0, 1, 2]
@@ -79,7 +79,7 @@ def test_integral_is_bounded_and_restarts_with_each_episode() -> None:
 
 
 @pytest.mark.parametrize("is_continuous", [False, True])
-def test_course_is_kept_by_bending_towards_the_centreline_and_upstream(is_continuous: bool) -> None:
+def test_course_keeping_bends_towards_centreline_and_upstream(is_continuous: bool) -> None:
     rows = [(0.5, 1.5)] if is_continuous else ROWS
     policy = GaitPolicy(
         controller=FixedFrequency(1.0), course=KeepCourse(), rows=rows, is_continuous=is_continuous

@@ -1,4 +1,4 @@
-"""The lateral-line classifier: its input, its checks, and its file."""
+"""The lateral-line classifier: input, checks and file."""
 
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ def noise(*shape: int) -> torch.Tensor:
     return torch.randn(*shape, 5, 6, generator=torch.Generator().manual_seed(1))
 
 
-def test_only_the_newest_samples_are_read_and_neither_time_nor_place_by_default() -> None:
+def test_default_input_excludes_time_place_and_older_samples() -> None:
     signal = noise(4, 16)
     other, older = signal.clone(), signal.clone()
     other[..., :3] += 1.0
@@ -34,7 +34,7 @@ def test_only_the_newest_samples_are_read_and_neither_time_nor_place_by_default(
     assert not torch.allclose(classifier(signal), classifier(older))
 
 
-def test_normalised_features_have_mean_0_and_deviation_1_but_rounding_errors_are_kept() -> None:
+def test_normalisation_scales_all_but_constant_features() -> None:
     classifier, signal = make(), make_samples(30)["lateral_line"]
     classifier.set_normalisation(signal)
     scaled = (classifier.read(signal) - classifier.mean) / classifier.scale
@@ -46,7 +46,7 @@ def test_normalised_features_have_mean_0_and_deviation_1_but_rounding_errors_are
     assert (classifier.scale[:, 0] == 1.0).all()
 
 
-@pytest.mark.parametrize(("num_samples", "intervals"), [(1, 1), (16, 1), (17, 2), (20, 2), (48, 3)])
+@pytest.mark.parametrize(("num_samples", "intervals"), [(1, 1), (16, 1), (17, 2)])
 def test_saved_classifier_keeps_predictions_and_description(
     num_samples: int, intervals: int, tmp_path: Path
 ) -> None:
@@ -75,13 +75,13 @@ def test_invalid_settings_are_refused(changes: dict[str, Any], message: str) -> 
         make(**changes)
 
 
-@pytest.mark.parametrize("shape", [(2, 8, 5, 6), (2, 16, 4, 6), (2, 16, 5, 7), (5, 6)])
-def test_signal_of_other_sensors_is_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="at least 16 samples, 5 neuromasts, 6 features"):
-        make()(torch.zeros(shape))
+def test_signal_of_other_sensors_is_refused() -> None:
+    for shape in ((2, 8, 5, 6), (2, 16, 4, 6), (2, 16, 5, 7), (5, 6)):
+        with pytest.raises(ValueError, match="at least 16 samples, 5 neuromasts, 6 features"):
+            make()(torch.zeros(shape))
 
 
-def test_flows_and_sensors_other_than_those_of_the_training_are_refused() -> None:
+def test_other_flows_and_sensors_are_refused() -> None:
     almost = [{**flow, "stream_speed_bl": flow["stream_speed_bl"] * (1 + 1e-9)} for flow in FLOWS]
     make().check(flows=almost, sensors={**SENSORS, "features": tuple(SENSORS["features"])})
     faster = [*FLOWS[:2], {**FLOWS[2], "stream_speed_bl": 2.0}]

@@ -1,4 +1,4 @@
-"""The fit of a classifier: it learns, other episodes judge it, and one seed gives one fit."""
+"""Fits of the lateral-line classifier: accuracy, episode split, seeds, early stopping."""
 
 from typing import Any
 
@@ -42,7 +42,7 @@ def fit(network: nn.Module, parts: list[TensorDict], **changes: Any) -> Curves:
     return fit_classifier(network, training=parts[0], validation=parts[1], **(arguments | changes))
 
 
-def test_parts_share_no_episode_and_have_those_of_each_class_in_about_its_share() -> None:
+def test_split_is_by_episode_and_stratified_by_class() -> None:
     episode = torch.arange(60).repeat_interleave(10)
     constant = episode % 3
     changing = (episode + torch.arange(10).repeat(60) // 5) % 3  # after five samples
@@ -55,25 +55,21 @@ def test_parts_share_no_episode_and_have_those_of_each_class_in_about_its_share(
             assert per_class.tolist() == [pytest.approx(20 * share, abs=1)] * 3
 
 
-@pytest.mark.parametrize("empty", [0, 1])
-def test_impossible_shares_and_parts_without_samples_are_refused(empty: int) -> None:
-    data, wrong = make_samples(8), r"shares = \(0.9, 0.9\): must be positive and of sum 1"
+def test_invalid_shares_and_samples_are_refused() -> None:
+    data, wrong = make_samples(8), r"shares = \(0.9, 0.9\): must be positive and sum to 1"
+    episodes = data["episode"], data["flow_index"]
     for shares, message in ((SHARES, "class 2 has 2 episodes for 3 parts"), ((0.9, 0.9), wrong)):
         with pytest.raises(ValueError, match=message):
-            split_episodes(
-                data["episode"], data["flow_index"], shares=shares, generator=generator()
-            )
-    parts = make_parts(9)
-    parts[empty] = parts[empty][:0]
-    with pytest.raises(ValueError, match="holds no samples"):
-        fit(make_network(), parts)
-    parts = make_parts(9)
-    parts[empty]["lateral_line"][0] = torch.nan
-    with pytest.raises(ValueError, match="NaN"):
-        fit(make_network(), parts)
+            split_episodes(*episodes, shares=shares, generator=generator())
+    training, validation, _ = make_parts(9)
+    with pytest.raises(ValueError, match="training holds no samples"):
+        fit(make_network(), [training[:0], validation])
+    validation["lateral_line"][0] = torch.nan
+    with pytest.raises(ValueError, match="validation holds NaN"):
+        fit(make_network(), [training, validation])
 
 
-def test_a_fit_classifies_sines_of_unseen_episodes() -> None:
+def test_fit_classifies_unseen_episodes() -> None:
     parts, network = make_parts(), make_network()
     before = score_classifier(network, parts[2])
     curves = fit(network, parts)
@@ -92,20 +88,17 @@ def test_confusion_counts_true_classes_in_rows() -> None:
     assert score.accuracy == pytest.approx(2 / 3)
 
 
-def test_one_seed_gives_one_fit_whatever_the_global_generator_does() -> None:
-    parts = make_parts(12)
-    networks = [make_network() for _ in range(2)]
-    for seed, network in enumerate(networks):
-        torch.manual_seed(seed)
+def test_generator_determines_fit() -> None:
+    parts, networks = make_parts(12), [make_network() for _ in range(2)]
+    for network in networks:
+        torch.rand(1)  # advances the global generator
         fit(network, parts, settings=FitSettings(num_epochs=2), noise=0.1)
     for a, b in zip(*(network.parameters() for network in networks), strict=True):
         assert torch.equal(a, b)
 
 
 @pytest.mark.parametrize("patience", [5, None])
-def test_a_patient_fit_keeps_the_weights_of_the_lowest_validation_loss_and_others_the_last(
-    patience: int | None,
-) -> None:
+def test_patience_keeps_weights_of_lowest_validation_loss(patience: int | None) -> None:
     parts, network = make_parts(12), make_network()
     num_epochs = 200 if patience else 3
     settings = FitSettings(learning_rate=0.05, num_epochs=num_epochs, patience=patience)
@@ -117,10 +110,8 @@ def test_a_patient_fit_keeps_the_weights_of_the_lowest_validation_loss_and_other
     assert score_classifier(network, parts[1]).loss == pytest.approx(losses[chosen])
 
 
-def test_noise_on_a_feature_keeps_the_fit_from_relying_on_it() -> None:
-    parts = make_parts()
-    names = torch.zeros(6)
-    names[3:5] = 100.0  # the two that tell
-    network = make_network()
-    fit(network, parts, noise=names)
+def test_noisy_features_are_not_used() -> None:
+    parts, network, noise = make_parts(), make_network(), torch.zeros(6)
+    noise[3:5] = 100.0  # the informative features u and v
+    fit(network, parts, noise=noise, settings=FitSettings(learning_rate=0.003, num_epochs=10))
     assert score_classifier(network, parts[0]).accuracy < 0.6

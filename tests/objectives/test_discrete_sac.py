@@ -1,4 +1,4 @@
-"""The mask-aware loss against TorchRL's: each known defect of the latter has a test here."""
+"""The mask-aware loss compared with TorchRL's, whose known defects each have a test."""
 
 import math
 import runpy
@@ -68,7 +68,7 @@ def is_finite(out: TensorDict, gradients: dict[str, torch.Tensor]) -> bool:
     return all(bool(value.isfinite().all()) for value in values)
 
 
-def test_equals_the_parent_bit_for_bit_when_every_action_is_legal() -> None:
+def test_equals_parent_bitwise_when_all_actions_are_legal() -> None:
     data = make_transitions(is_all_legal=True)
     ours, our_gradients = backward(make_loss(), data)
     theirs, their_gradients = backward(make_parent(), data)
@@ -80,9 +80,7 @@ def test_equals_the_parent_bit_for_bit_when_every_action_is_legal() -> None:
 
 
 @pytest.mark.parametrize("neg_inf", [-math.inf, -1e9])
-def test_d1_gradients_are_finite_under_masks_and_the_parents_with_finite_illegal_logits(
-    neg_inf: float,
-) -> None:
+def test_masked_gradients_are_finite_and_equal_parent(neg_inf: float) -> None:
     out, ours = backward(make_loss(neg_inf=neg_inf), make_transitions())
     assert is_finite(out, ours)
     _, theirs = backward(make_parent(), make_transitions())
@@ -92,8 +90,7 @@ def test_d1_gradients_are_finite_under_masks_and_the_parents_with_finite_illegal
 
 
 def reference_target(loss: DiscreteSACLoss, data: TensorDict) -> torch.Tensor:
-    """r + gamma (1 - terminated) sum_a pi (min Q - alpha log pi), legal actions alone, one row at
-    a time."""
+    """Return r + gamma (1 - terminated) sum_a pi (min Q - alpha log pi) over legal actions."""
     following, targets = data["next"], []
     actor = loss.get_stateful_net("actor_network")
     for i in range(data.shape[0]):
@@ -109,7 +106,7 @@ def reference_target(loss: DiscreteSACLoss, data: TensorDict) -> torch.Tensor:
     return torch.stack(targets)
 
 
-def test_d3_the_target_bootstraps_truncated_states_but_not_terminated_ones() -> None:
+def test_target_bootstraps_truncated_but_not_terminated_states() -> None:
     data, loss = make_transitions(), make_loss()
     with torch.no_grad():
         target = loss._compute_target(data)
@@ -123,7 +120,7 @@ def test_d3_the_target_bootstraps_truncated_states_but_not_terminated_ones() -> 
 
 
 def alpha_after(loss: DiscreteSACLoss, data: TensorDict, *, num_steps: int) -> tuple[float, float]:
-    """Train the actor and the temperature alone, on critics that prefer no action."""
+    """Train actor and temperature, with fixed critics; return alpha and entropy."""
     optimiser = torch.optim.Adam([p for n, p in loss.named_parameters() if "qvalue" not in n], 0.02)
     for _ in range(num_steps):
         out = loss(data.clone())
@@ -133,17 +130,17 @@ def alpha_after(loss: DiscreteSACLoss, data: TensorDict, *, num_steps: int) -> t
     return float(out["alpha"]), float(out["entropy"])
 
 
-def test_d4_the_temperature_settles_at_an_entropy_that_legal_actions_can_have() -> None:
+def test_temperature_reaches_attainable_entropy() -> None:
     data = make_transitions()
     num_legal = data["action_mask"].sum(-1)
     largest = num_legal.double().log()
-    assert largest.mean() < 0.98 * math.log(NUM_ACTIONS)  # the parent asks for the unreachable
-    alpha, entropy = alpha_after(make_loss(target_entropy_weight=0.7), data, num_steps=300)
+    assert largest.mean() < 0.98 * math.log(NUM_ACTIONS)  # target of the parent
+    alpha, entropy = alpha_after(make_loss(target_entropy_weight=0.7), data, num_steps=200)
     assert entropy == pytest.approx(0.7 * float(largest.mean()), abs=0.05)
     assert alpha < 1.0
 
 
-def test_states_without_a_choice_say_nothing_about_the_temperature() -> None:
+def test_states_with_single_action_leave_temperature_unchanged() -> None:
     data = make_transitions()
     data["action_mask"] = nn.functional.one_hot(data["action"], NUM_ACTIONS).bool()
     loss = make_loss()
@@ -153,7 +150,7 @@ def test_states_without_a_choice_say_nothing_about_the_temperature() -> None:
     assert is_finite(out, gradients)
 
 
-def test_d5_a_row_without_legal_actions_stays_finite_and_moves_no_policy() -> None:
+def test_row_without_legal_actions_has_no_policy_gradient() -> None:
     data = make_transitions()
     data["action_mask"][0] = False
     data["next", "action_mask"][0] = False
@@ -168,7 +165,7 @@ def test_d5_a_row_without_legal_actions_stays_finite_and_moves_no_policy() -> No
     assert not broken["loss_actor"].isfinite()
 
 
-def test_d7_the_initial_weights_of_the_critics_are_kept() -> None:
+def test_initial_weights_of_critics_are_kept() -> None:
     loss = make_loss()
     given = [next(iter(critic.parameters())) for critic in critics()]
     kept = next(p for n, p in loss.named_parameters() if "qvalue" in n and "weight" in n)
@@ -182,7 +179,7 @@ def test_d7_the_initial_weights_of_the_critics_are_kept() -> None:
         MaskedDiscreteSACLoss(actor_with(-1e9), critics()[0], num_actions=NUM_ACTIONS)  # type: ignore[arg-type]
 
 
-def test_a_loss_of_torchrl_may_be_made_before_ours_is_imported() -> None:
+def test_import_after_torchrl_loss_keeps_out_keys() -> None:
     """The first instance of TorchRL's loss turns ``out_keys`` of its class into a property."""
     before = make_parent().out_keys
     again = runpy.run_path(discrete_sac.__file__)["MaskedDiscreteSACLoss"]

@@ -1,4 +1,4 @@
-"""Deep Q-learning against its definition, written out by hand."""
+"""Losses of DQN and recurrent DQN, compared with their definitions."""
 
 from typing import TypeVar
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
 
 
 def prepare(loss: Loss) -> Loss:
-    """Let the target network differ from the one that learns."""
+    """Perturb the target network."""
     loss.make_value_estimator(gamma=GAMMA)
     SoftUpdate(loss, tau=0.1)
     torch.manual_seed(1)
@@ -42,7 +42,7 @@ def values_of(loss: MaskedDQNLoss, states: Tensor, *, is_target: bool) -> Tensor
 
 
 @pytest.mark.parametrize("is_double", [False, True])
-def test_the_loss_is_that_of_the_papers_among_legal_actions(is_double: bool) -> None:
+def test_loss_equals_definition_over_legal_actions(is_double: bool) -> None:
     loss, batch = make_loss(is_double=is_double), make_transitions()
     after = batch["next"]
     with torch.no_grad():
@@ -55,14 +55,14 @@ def test_the_loss_is_that_of_the_papers_among_legal_actions(is_double: bool) -> 
     torch.testing.assert_close(loss(batch)["loss_qvalue"], smooth_l1_loss(chosen, wanted))
 
 
-def test_a_network_that_reads_no_mask_is_refused() -> None:
+def test_network_without_mask_is_refused() -> None:
     module = TensorDictModule(nn.Linear(2, 2), in_keys=["observation"], out_keys=["action_value"])
     with pytest.raises(ValueError, match=r"not 'action_mask'.*make_value_actor"):
         MaskedDQNLoss(TensorDictSequential(module))
 
 
 def stretches(num: int = 5) -> TensorDict:
-    """Return stretches of 6 decisions, as the sampler gives them; the second is 3 long."""
+    """Return sequences of 6 transitions as the sampler does; the second has 3 real ones."""
     torch.manual_seed(3)
     batch = make_transitions(num * LENGTH, key="observation").reshape(num, LENGTH)
     for key in ("observation", "action_mask"):
@@ -83,7 +83,7 @@ def stretches(num: int = 5) -> TensorDict:
 
 
 def unroll(loss: RecurrentDQNLoss, row: TensorDict, num: int, *, is_target: bool) -> Tensor:
-    """Return the values of a stretch and of the state behind it, one step after the other."""
+    """Return the values of a sequence and of the state after it, step by step."""
     weights = loss.target_value_network_params if is_target else loss.value_network_params
     values = []
     memory = row[0].select("recurrent_state_h", "recurrent_state_c")
@@ -100,7 +100,7 @@ def unroll(loss: RecurrentDQNLoss, row: TensorDict, num: int, *, is_target: bool
 
 @pytest.mark.parametrize("hidden", [(8, WIDTH), (WIDTH,)])
 @pytest.mark.parametrize("is_double", [False, True])
-def test_the_recurrent_loss_is_that_of_the_network_step_by_step(
+def test_recurrent_loss_equals_stepwise_definition(
     is_double: bool, hidden: tuple[int, ...]
 ) -> None:
     draw, batch, errors = torch.Generator().manual_seed(0), stretches(), []

@@ -1,4 +1,4 @@
-"""SAC for continuous actions: TorchRL's loss as the training makes it."""
+"""TorchRL's SAC loss for continuous actions, with the settings of the training."""
 
 import torch
 from tensordict import TensorDict
@@ -8,7 +8,7 @@ from fishrl.training.policy_spec import PolicySpec
 from tests.objectives.transitions import NUM_INPUTS, make_transitions
 
 
-def test_the_target_bootstraps_truncated_states_but_not_terminated_ones() -> None:
+def test_target_bootstraps_truncated_but_not_terminated_states() -> None:
     spec = PolicySpec(
         task="any", num_inputs=NUM_INPUTS, num_actions=2, is_continuous=True, hidden=(16,)
     )
