@@ -1,6 +1,6 @@
 """The tables of a run in Markdown: goals and whether they are met, speeds, costs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -104,9 +104,6 @@ COLUMNS: dict[str, Cell] = {
     "MLUPS": lambda case, _: measure_speed(case).show(0),
     "/ copy": partial(_over, "probe/copy"),
     "/ copy on the GPU": partial(_over, "gpu/copy"),
-    "/ in-place probe": partial(_over, "probe/in place"),
-    "B / update": lambda case, _: str(case.bytes_per_update),
-    "MB": lambda case, _: f"{1e-6 * case.working_set:.1f}",
     "memory, B / node": _number("bytes", 1),
     "µs / step": lambda case, _: f"{1e6 * spread(case.measured['seconds']).median:.0f}",
     "s / T and flow": _price,
@@ -115,8 +112,8 @@ COLUMNS: dict[str, Cell] = {
     "share of learning, %": _number("learning", 1, 100.0),
     "seconds": _number("seconds", 1),
 }
-SPEED = ("case", "what", "MLUPS", "/ copy", "/ in-place probe", "B / update", "MB")
-GPU_SPEED = ("case", "what", "MLUPS", "/ copy on the GPU", "B / update", "MB")
+SPEED = ("case", "what", "MLUPS", "/ copy")
+GPU_SPEED = ("case", "what", "MLUPS", "/ copy on the GPU")
 MEMORY, PRICE = "memory, B / node", ("µs / step", "s / T and flow")
 OUTSIDE = ("case", "ms", "share outside the flow, %")
 #: Group, heading, line above the table, columns.
@@ -131,12 +128,16 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
 )
 
 
-def render(results: Results) -> str:
-    """Return a description of the run and every table that is not empty, in Markdown."""
+#: Groups whose tables the page has; the goals sum up the others.
+PAGE = ("solver", "coupled", "gpu")
+
+
+def render(results: Results, groups: Container[str] | None = None) -> str:
+    """Return a description of the run, its goals and the tables of some groups, by default all."""
     goals = write_table(("goal", "target", "measured", "result"), list_goals(results))
     tables = [f"### Goals\n\nRatios of the same round: median and quartiles.\n\n{goals}"]
     for group, title, note, columns in TABLES:
-        if cases := results.of_group(group):
+        if (groups is None or group in groups) and (cases := results.of_group(group)):
             cells = [[COLUMNS[c](case, results) or "–" for c in columns] for case in cases]
             parts = [f"### {title}", note, write_table(columns, cells)]
             tables.append("\n\n".join(filter(None, parts)))
@@ -166,5 +167,5 @@ def write_page(results: Results, figures: dict[Path, str], page: Path) -> None:
     _, end, after = rest.partition(END)
     if not (begin and end):
         raise ValueError(f"{page}: put one line {BEGIN} and below it one line {END} into it")
-    text = "\n\n".join([render(results), *pictures])
+    text = "\n\n".join([render(results, PAGE), *pictures])
     write_whole(page, f"{before}{BEGIN}\n{text}\n{END}{after}")

@@ -27,7 +27,7 @@ import psutil
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torch.utils import _pytree as pytree
+from torch.utils._pytree import tree_map
 from torchrl.modules import MLP, ProbabilisticActor
 from torchrl.objectives.value.functional import vec_td_lambda_return_estimate
 
@@ -218,13 +218,13 @@ class Swimmers:
         fresh = self.task.sample_starts(self.num_envs, self.generator)
         self.starts = fresh.apply(choose, self.starts)
         rest = self._make_rest(self.flows.config)
-        self.flows = self.flows._replace(state=pytree.tree_map(choose, rest, self.flows.state))
+        self.flows = self.flows._replace(state=tree_map(choose, rest, self.flows.state))
         self.now = self.task.measure(self.flows, self.starts)
         self.age = self.age.masked_fill(rows, 0)
 
     def detach_(self) -> None:
         """Forget how the flows came about, for gradients."""
-        state = pytree.tree_map(Tensor.detach, self.flows.state)
+        state = tree_map(Tensor.detach, self.flows.state)
         self.flows, self.now = self.flows._replace(state=state), self.now.detach()
 
     def step(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
