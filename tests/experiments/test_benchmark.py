@@ -1,4 +1,4 @@
-"""The benchmark's program."""
+"""The program that runs the benchmarks."""
 
 import json
 from pathlib import Path
@@ -34,18 +34,18 @@ def make_nothing(settings: BenchmarkSettings) -> list[Case]:
 
 @pytest.fixture(autouse=True)
 def groups(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace the groups; give the environment back its variable."""
+    """Replace the groups of benchmarks by toys."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     toys = {"solver": make_pair, "gpu": make_nothing, "compile": make_number}
     monkeypatch.setattr(benchmark, "GROUPS", toys)
 
 
-def test_a_run_takes_turns_prints_tables_and_keeps_every_time(
+def test_run_interleaves_cases_and_stores_all_times(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     TURNS.clear()
     main([f"folder={tmp_path}", "threads=1", "rounds=2"])
-    assert TURNS == ["a3", "b3"] * 3  # once before the rounds
+    assert TURNS == ["a3", "b3"] * 3  # a warm-up and two rounds
     text = capsys.readouterr().out
     assert "| compile, warm | ≤ 1 s | 0.50 s | met |" in text
     assert "| GPU, bulk / copy | ≥ 0.9 × | – | not measured |" in text
@@ -56,14 +56,14 @@ def test_a_run_takes_turns_prints_tables_and_keeps_every_time(
     assert kept["cases"][0]["measured"]["share"] == [0.25] * 2
 
 
-def test_groups_are_chosen_by_name() -> None:
+def test_groups_are_selected_by_name() -> None:
     chosen = benchmark.run(main.read(["groups=[compile]", "threads=1"]))
     assert [case.group for case in chosen.cases] == ["compile"]
     with pytest.raises(ValueError, match="did you mean 'compile'"):
         benchmark.run(BenchmarkSettings(groups=("compil",)))
 
 
-def test_caches_are_read_as_linux_lists_them(tmp_path: Path) -> None:
+def test_cache_sizes_are_read_from_sysfs(tmp_path: Path) -> None:
     for i, (kind, level, size) in enumerate(
         [("Data", "1", "48K"), ("Instruction", "1", "32K"), ("Unified", "3", "32768K")]
     ):

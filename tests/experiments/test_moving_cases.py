@@ -1,4 +1,4 @@
-"""What the cases with moving bodies compute from their runs."""
+"""Evaluation of validation cases with moving bodies."""
 
 from dataclasses import replace
 
@@ -13,24 +13,24 @@ from fishrl.physics.flow import make_params
 from fishrl.physics.step import step
 
 
-def test_the_fit_of_an_oscillation_finds_drag_and_added_mass() -> None:
+def test_force_fit_finds_drag_and_added_mass() -> None:
     phase = np.linspace(0.0, 2.0 * np.pi, 50, endpoint=False)
     v, a = np.cos(phase), -1.7 * np.sin(phase)
     force = -0.5 * 2.1 * np.abs(v) * v - 0.25 * np.pi * 1.45 * a
     assert fit_force(force, v, a) == pytest.approx((2.1, 1.45))
 
 
-def test_the_period_is_extrapolated_to_no_walls() -> None:
+def test_period_is_extrapolated_to_infinite_gap() -> None:
     periods = {gap: 15.0 + 9.0 / gap**2 for gap in sheared_ellipse.GAPS}
     assert sheared_ellipse.extrapolate(periods) == pytest.approx(15.0)
 
 
-def test_a_mirrored_vector_is_compared_with_its_own_image() -> None:
+def test_mirrored_vector_is_compared_with_image() -> None:
     run = {BASE: [3.0, 4.0], MIRRORED: [3.0, -4.0], "shifted": [3.0, 4.5]}
     assert compare(run, None, is_speed=False) == {MIRRORED: 0.0, "shifted": 0.1}
 
 
-def test_slip_interpolated_from_the_nodes_is_what_the_solve_reports_and_none_if_exact() -> None:
+def test_measured_slip_equals_reported_slip() -> None:
     config, state, speed, _ = slip.make_fish_flow()
     params = make_params([config])
     for _ in range(20):

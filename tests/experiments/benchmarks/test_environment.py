@@ -1,4 +1,4 @@
-"""What the benchmark times around the flow: environment and training."""
+"""Benchmarks of environment and training."""
 
 from experiments.benchmarks.environment import make_overhead, make_training
 from experiments.benchmarks.measuring import BenchmarkSettings
@@ -10,14 +10,14 @@ SETTINGS = BenchmarkSettings()
 TASK = Predation(**TINY | {"control_interval_T": 0.2, "checks_per_action": 5})  # few steps
 
 
-def test_a_part_of_an_action_is_spent_outside_the_flow() -> None:
+def test_share_of_action_outside_flow_is_measured() -> None:
     env, policy = make_overhead(SETTINGS, task=TASK, num_envs=2, compile=False)
     for case in (env, policy):
         case.prepare()
         assert 0.0 < case.advance(1)["outside_flow"] < 1.0
 
 
-def test_a_training_loop_collects_and_learns() -> None:
+def test_share_of_learning_is_measured() -> None:
     learning = LearningSettings(num_envs=2, batch_size=2, updates_per_frame=2.0)
     gradient, frame = make_training(SETTINGS, task=TASK, learning=learning, compile=False)
     assert gradient.advance(2) is None

@@ -1,24 +1,20 @@
-"""The flows that the benchmark times: batches, kernels, memory."""
+"""Benchmarks of flows: batches, kernels, memory."""
 
 import pytest
 import torch
 
-from experiments.benchmarks.flows import (
-    make_case,
-    make_kernel_case,
-    make_solver,
-)
+from experiments.benchmarks.flows import make_case, make_kernel_case, make_solver
 from experiments.benchmarks.measuring import FISH, KERNEL
 from fishrl.physics import InPlaceSolver
 
 
 @pytest.fixture(scope="module")
 def solver() -> InPlaceSolver:
-    """Return two small flows with a fish in each, eager."""
+    """Return two small eager flows with a fish each."""
     return make_solver(16, has_fish=True, num_envs=2, compile=False)
 
 
-def test_a_case_advances_all_flows_of_a_batch_or_the_first(solver: InPlaceSolver) -> None:
+def test_case_advances_whole_batch_or_first_flow(solver: InPlaceSolver) -> None:
     case = make_case(solver, "x", "one core")
     assert (case.scope, case.num_nodes) == (FISH, 2 * 160 * 80)
     assert case.working_set / case.num_nodes == pytest.approx(36, rel=0.3)
@@ -29,7 +25,7 @@ def test_a_case_advances_all_flows_of_a_batch_or_the_first(solver: InPlaceSolver
     assert one.num_nodes == 160 * 80
 
 
-def test_the_kernel_alone_collides_and_moves_no_fish() -> None:
+def test_kernel_case_collides_without_moving_fish() -> None:
     flow = make_solver(16, has_fish=True, compile=False)
     case = make_kernel_case(flow, "x", "one core")
     flow.advance_(2)
@@ -40,7 +36,7 @@ def test_the_kernel_alone_collides_and_moves_no_fish() -> None:
     assert not torch.equal(flow.populations(), before)
 
 
-def test_the_calls_of_two_steps_are_those_of_the_solver() -> None:
+def test_listed_calls_equal_two_steps_of_solver() -> None:
     flow, twin = (make_solver(16, has_fish=True, compile=False) for _ in range(2))
     for parity in (0, 1):
         for part, arguments in flow.list_calls():

@@ -1,11 +1,10 @@
-"""What the benchmark makes of its times: ratios, goals, tables, figures, the page and the file."""
+"""Ratios, goals, figures and page of a benchmark."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
-from PIL import Image
 
 from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import FISH, KERNEL, PERIODIC, PROBE, WALLS, Case, Results
@@ -32,7 +31,7 @@ def make_case(label: str, speeds: Sequence[float], *, scope: str = WALLS, **rest
 
 @pytest.fixture
 def results() -> Results:
-    """Return a run in which everything was measured that there is a table for."""
+    """Return a run with entries for every table."""
     swim: dict[str, Any] = {"body_length": 100, "period": 562, "flows": 1}
     fish: dict[str, Any] = {"group": "coupled", "scope": FISH, "measured": {"bytes": [44.0]}}
     cases = [
@@ -54,9 +53,9 @@ def results() -> Results:
     )
 
 
-def test_ratios_are_per_node_update_and_of_the_same_round() -> None:
+def test_ratios_compare_node_updates_of_the_same_round() -> None:
     ours, theirs = make_case("a", [100, 10, 50, 100]), make_case("b", [50, 5, 25, 50])
-    assert compare(ours, theirs) == pytest.approx((2.0, 2.0, 2.0))  # also when the machine is slow
+    assert compare(ours, theirs) == pytest.approx((2.0, 2.0, 2.0))  # also in slow rounds
     small = make_case("small", [100, 100], num_nodes=10)
     assert measure_speed(small).median == pytest.approx(1e-3)
     assert compare(make_case("large", [100, 100]), small).median == pytest.approx(1e5)
@@ -72,22 +71,19 @@ def test_goals_are_met_missed_or_not_measured(results: Results) -> None:
     assert lines["share of an environment step outside the flow"] == ["≤ 2 %", "1.00 %", "met"]
 
 
-def test_every_figure_is_drawn_that_was_measured(results: Results, tmp_path: Path) -> None:
+def test_figures_show_available_results(results: Results, tmp_path: Path) -> None:
     files = write_plots(results, tmp_path / "figures")
     assert [file.name for file in files] == ["roofline.png", "scaling.png"]
-    for file in files:
-        with Image.open(file) as image:
-            assert min(image.size) > 300
     results.cases = []
     assert write_plots(results, tmp_path) == {}
     assert render(results).count("###") == 1  # the goals
 
 
-def test_the_page_changes_between_its_marks_alone(results: Results, tmp_path: Path) -> None:
+def test_page_changes_only_between_marks(results: Results, tmp_path: Path) -> None:
     page = tmp_path / "performance.md"
     page.write_text(f"before\n\n{BEGIN}\nlast year\n{END}\n\nafter\n")
     figures = {tmp_path / "figures" / "roofline.png": "Bandwidth"}
-    for _ in range(2):  # again gives the same
+    for _ in range(2):  # the second time replaces the first
         write_page(results, figures, page)
         text = page.read_text()
         assert text.startswith(f"before\n\n{BEGIN}\na machine, 2 cores")
