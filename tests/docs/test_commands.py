@@ -68,7 +68,7 @@ class _Read(BaseException):
 def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Change to a folder with the runs, tasks and algorithms that the pages mention."""
     folder = tmp_path_factory.mktemp("home")
-    for page in ("tutorials/new_task.md", "tutorials/gap.md", "algorithms.md"):
+    for page in ("tutorials/new_task.md", "algorithms.md"):
         for block in filter(lambda block: block.file, read_blocks(page)):
             path = folder / "my_fish" / block.file
             path.parent.mkdir(parents=True, exist_ok=True)
