@@ -1,4 +1,4 @@
-"""Who may import whom, and the few rules about files that keep the house in order."""
+"""Import rules between packages, and rules for files."""
 
 import ast
 import subprocess
@@ -23,7 +23,7 @@ TENSORS = {
         "fishrl.torch_state",
     ),
 }
-#: Of the programs, which nothing in the library imports.
+#: Packages of the programs, which nothing in the library imports.
 PROGRAMS = TENSORS | {
     *("torchrl", "hydra", "omegaconf", "yaml", "tqdm", "psutil", "matplotlib", "PIL", "scipy"),
     *("huggingface_hub", "minari", "gymnasium", "xarray", "pyvista", "fishrl"),
@@ -33,7 +33,7 @@ TORCHRL_FILES = tuple(
     f"fishrl/envs/{name}.py" for name in ("flow_env", "making", "episodes", "specs", "transforms")
 )
 DRAWING = {"rerun", "matplotlib", "PIL", "imageio_ffmpeg", "xarray", "pyvista"}
-# The first pattern that matches a file rules it; "a.b" allows "a.b" and "a.b.c".
+# The first matching prefix applies to a file; "a.b" allows "a.b" and "a.b.c".
 LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/__init__.py", set()),
     ("fishrl/settings/", {"numpy", "pydantic", "pydantic_core", "fishrl.settings"}),
@@ -90,10 +90,10 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
 )
 TORCHRL_SIDE = {f"fishrl.envs.{name}" for name in ("flow_env", "making", "transforms", "episodes")}
 ON_USE = {"rerun", "wandb"}
-#: Imports of our own modules inside functions: for optional packages and what they bring.
+#: Imports of own modules inside functions, for optional packages.
 MAX_LATE_IMPORTS = 5
 OWN = {"fishrl", "experiments"}
-#: Packages, and the only files that import them: modules for users of other frameworks, say.
+#: Packages, and the only files that may import them.
 IMPORTERS: tuple[tuple[set[str], tuple[str, ...]], ...] = (
     ({"rerun"}, ("fishrl/viewer/",)),
     ({"fcntl"}, ("fishrl/locks.py",)),
@@ -121,7 +121,7 @@ def _parse(path: Path) -> ast.Module:
 
 
 def _imported_by(node: ast.AST, path: Path) -> list[str]:
-    """Return the absolute names that an import statement brings in."""
+    """Return the absolute names of an import statement."""
     if isinstance(node, ast.Import):
         return [alias.name for alias in node.names]
     if isinstance(node, ast.ImportFrom):
@@ -137,7 +137,7 @@ def _is_type_checking(node: ast.AST) -> bool:
 
 
 def _walk_at_import(node: ast.AST) -> Iterator[ast.AST]:
-    """Walk what runs when the module is imported: no function bodies, nothing for type checkers."""
+    """Walk the code that runs on import, without functions and ``TYPE_CHECKING`` blocks."""
     yield node
     for child in ast.iter_child_nodes(node):
         if _is_type_checking(child) or isinstance(child, ast.FunctionDef | ast.Lambda):
@@ -160,7 +160,7 @@ def _is_within(name: str, packages: set[str]) -> bool:
     return any(name == package or name.startswith(package + ".") for package in packages)
 
 
-def test_library_files_import_only_what_their_layer_allows() -> None:
+def test_library_files_obey_layers() -> None:
     for path in _sources("fishrl"):
         rules = [allowed for prefix, allowed in LAYERS if _relative(path).startswith(prefix)]
         assert rules, f"{_relative(path)} belongs to no layer: add it to LAYERS, or move it"
@@ -169,14 +169,14 @@ def test_library_files_import_only_what_their_layer_allows() -> None:
         assert not wrong, f"{_relative(path)} imports {wrong}; allowed: {sorted(rules[0])}"
 
 
-def test_task_files_do_not_reach_torchrl_through_the_env() -> None:
+def test_task_files_do_not_import_torchrl_indirectly() -> None:
     gates = {f"{name.rpartition('.')[2]}.py" for name in TORCHRL_SIDE} | {"__init__.py"}
     tasks = [path for path in _sources("fishrl/envs") if path.name not in gates]
     wrong = [_relative(path) for path in tasks for n in _names(path) if _is_within(n, TORCHRL_SIDE)]
     assert not wrong
 
 
-def test_some_packages_are_imported_on_use_or_by_few_files_alone() -> None:
+def test_optional_packages_are_imported_late_and_by_few_files() -> None:
     for path in _sources("fishrl", "experiments"):
         file = _relative(path)
         early = [name for name in _names(path, at_import=True) if _is_within(name, ON_USE)]
@@ -186,22 +186,22 @@ def test_some_packages_are_imported_on_use_or_by_few_files_alone() -> None:
             assert not wrong or file.startswith(importers), f"{file} imports {wrong}"
 
 
-def test_files_are_short_and_have_names_that_say_something() -> None:
+def test_files_are_short_and_have_specific_names() -> None:
     for path in _sources("fishrl", "experiments", "tests"):
         lines = len(path.read_text(encoding="utf-8").splitlines())
         assert lines <= MAX_LINES, f"{_relative(path)} has {lines} lines, {MAX_LINES} is the most"
         assert not set(path.relative_to(ROOT).with_suffix("").parts) & FORBIDDEN_NAMES
 
 
-def test_the_library_logs_and_never_prints() -> None:
+def test_library_never_prints() -> None:
     for path in set(_sources("fishrl")) - set(_sources("fishrl/programs")):
         calls = [node for node in ast.walk(_parse(path)) if isinstance(node, ast.Call)]
         lines = [call.lineno for call in calls if ast.unparse(call.func) == "print"]
         assert not lines, f"{_relative(path)} prints on lines {lines}: use logging"
 
 
-def test_files_are_written_by_functions_that_replace_links() -> None:
-    """To a name from ``staged``; what is appended to, locks and logs, lies in a checked folder."""
+def test_files_are_written_through_staged() -> None:
+    """Only locks and logs, which are appended to, are opened directly."""
     for path in _sources("fishrl", "experiments"):
         for call in (node for node in ast.walk(_parse(path)) if isinstance(node, ast.Call)):
             name = ast.unparse(call.func)
@@ -214,7 +214,7 @@ def test_files_are_written_by_functions_that_replace_links() -> None:
             assert target in ("", "stage", "part"), f"{_relative(path)}: {ast.unparse(call)}"
 
 
-def test_cores_are_counted_as_a_container_allows() -> None:
+def test_cores_are_counted_by_limits_only() -> None:
     for path in set(_sources("fishrl", "experiments")) - {ROOT / "fishrl/limits.py"}:
         names = {getattr(node, "attr", "") for node in ast.walk(_parse(path))}
         assert "cpu_count" not in names, f"{_relative(path)}: use fishrl.limits.count_cores"
@@ -222,7 +222,7 @@ def test_cores_are_counted_as_a_container_allows() -> None:
 
 @cache
 def _find_imports() -> tuple[dict[str, set[str]], list[str]]:
-    """Return which module of ours imports which, and the imports of ours inside functions."""
+    """Return the imports of each own module, and those inside functions."""
     paths = {path: path.relative_to(ROOT).with_suffix("") for path in _sources(*OWN)}
     modules = {".".join(p.parts).removesuffix(".__init__"): path for path, p in paths.items()}
     edges: dict[str, set[str]] = {name: set() for name in modules}
@@ -239,8 +239,8 @@ def _find_imports() -> tuple[dict[str, set[str]], list[str]]:
     return edges, late
 
 
-def test_no_module_imports_itself_through_others() -> None:
-    """A package's ``__init__`` may re-export what imports the package."""
+def test_no_import_cycles() -> None:
+    """Cycles through a package's ``__init__``, which re-exports, are allowed."""
     edges, _ = _find_imports()
 
     def reach(start: str) -> set[str]:
@@ -258,12 +258,12 @@ def test_no_module_imports_itself_through_others() -> None:
     assert not [sorted(circle) for circle in circles if len(circle) > 1]
 
 
-def test_few_modules_are_imported_inside_functions() -> None:
+def test_few_imports_inside_functions() -> None:
     _, late = _find_imports()
     assert len(late) <= MAX_LATE_IMPORTS, f"{len(late)} imports inside functions: {late}"
 
 
-def test_physics_imports_without_torchrl_hydra_rerun_and_wandb() -> None:
+def test_physics_imports_without_optional_packages() -> None:
     blocked = ("torchrl", "hydra", "omegaconf", "rerun", "wandb", "matplotlib")
     script = f"import sys; sys.modules.update(dict.fromkeys({blocked!r})); import fishrl.physics"
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)

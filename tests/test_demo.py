@@ -1,4 +1,4 @@
-"""The demo: recorded films at once, then policies that swim."""
+"""The demo: recorded films first, then a computed one."""
 
 import subprocess
 import sys
@@ -8,12 +8,12 @@ from fishrl.programs import view
 
 
 def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a script that is given a folder, in a process of its own."""
+    """Run a script in another process, with the folder as its argument."""
     command = [sys.executable, "-c", code, str(folder)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_recorded_films_come_before_anything_heavy_is_imported(tmp_path: Path) -> None:
+def test_recorded_films_are_shown_before_heavy_imports(tmp_path: Path) -> None:
     key, tmp_path = tmp_path / "key", tmp_path / "o'brien, é"
     key.write_text("private")
     tmp_path.mkdir()
@@ -33,7 +33,7 @@ def test_recorded_films_come_before_anything_heavy_is_imported(tmp_path: Path) -
     assert films == ["catching_food_recorded.mp4", "holding_station_recorded.mp4"]
 
 
-def test_progress_and_errors_of_the_film_are_shown(tmp_path: Path) -> None:
+def test_progress_and_errors_of_film_are_shown(tmp_path: Path) -> None:
     code = (
         "import sys, fishrl.children as children\n"
         "swim = 'import sys; sys.exit(\"recording ...\\\\nno\")'\n"

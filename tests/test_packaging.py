@@ -1,4 +1,4 @@
-"""What a user gets with ``pip install``: the whole library, typed, and nothing else."""
+"""The wheel: the whole typed library and nothing else."""
 
 import os
 import re
@@ -24,7 +24,7 @@ LEFT_OUT = {"__pycache__"}
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build a wheel from a copy of what the build reads, and unpack it, as installing it does."""
+    """Build a wheel from a copy of the sources and unpack it."""
     source = tmp_path_factory.mktemp("source")
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
@@ -47,7 +47,7 @@ def _read_metadata(installed: Path) -> Message:
     return message_from_bytes(path.read_bytes())
 
 
-def test_every_file_of_the_library_is_in_the_wheel_and_no_other_package(installed: Path) -> None:
+def test_wheel_holds_exactly_the_library(installed: Path) -> None:
     files = {
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "fishrl").rglob("*")
@@ -62,7 +62,7 @@ def test_every_file_of_the_library_is_in_the_wheel_and_no_other_package(installe
     assert {"fishrl/py.typed", "fishrl/envs/steering.pt"} <= packed
 
 
-def test_the_version_is_said_once_and_citation_and_changelog_know_it(installed: Path) -> None:
+def test_versions_of_wheel_citation_and_changelog_agree(installed: Path) -> None:
     metadata = _read_metadata(installed)
     assert metadata["Version"] == fishrl.__version__
     assert metadata["License-Expression"] == "MIT"
@@ -77,14 +77,14 @@ def test_the_version_is_said_once_and_citation_and_changelog_know_it(installed: 
     assert f"## [{fishrl.__version__}]" in changelog and "## [Unreleased]" in changelog
 
 
-def test_the_extras_that_errors_name_exist(installed: Path) -> None:
+def test_extras_named_by_errors_exist(installed: Path) -> None:
     files = [path for name in ("fishrl", "experiments") for path in (ROOT / name).rglob("*.py")]
     text = "".join(path.read_text(encoding="utf-8") for path in files)
     named = set(re.findall(r"""show_install\(["']([\w-]+)""", text))
     assert len(named) > 3 and named <= set(_read_metadata(installed).get_all("Provides-Extra"))
 
 
-def test_the_library_works_where_the_repository_is_not(installed: Path, tmp_path: Path) -> None:
+def test_wheel_works_without_repository(installed: Path, tmp_path: Path) -> None:
     script = """
 import sys, fishrl.physics, fishrl.envs, fishrl.modules, fishrl.objectives, fishrl.viewer
 from fishrl.envs import Predation, make_env
@@ -110,8 +110,7 @@ print([name for name in sys.modules if name.split(".")[0] in ("experiments", "hy
     assert done.stdout.split() == [str(installed / "fishrl" / "__init__.py"), "True", "[]"]
 
 
-def test_the_versions_that_were_tested_are_within_what_the_package_asks_for() -> None:
-    """Every requirement has its exact version in constraints.txt."""
+def test_every_requirement_has_a_pinned_version() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     asked = [*project["dependencies"], *(line for lines in extras.values() for line in lines)]

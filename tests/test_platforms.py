@@ -1,11 +1,11 @@
-"""Systems without the calls of POSIX: what needs none works, the rest says what it needs."""
+"""Systems without POSIX: only functions that need it raise errors."""
 
 import subprocess
 import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-#: Run where the names that Windows lacks, of those we use, are gone.
+#: Run without the names that Windows lacks.
 PROGRAM = """
 import importlib, os, pathlib, pkgutil, select, signal, sys
 import psutil, torchrl.data  # whose builds for Linux need some
@@ -42,7 +42,7 @@ for call in (lambda: start_child(""), lambda: InPlaceSolver(config=config, num_w
 """
 
 
-def test_without_posix_only_child_processes_are_refused(tmp_path: Path) -> None:
+def test_child_processes_need_posix(tmp_path: Path) -> None:
     words = [sys.executable, "-c", PROGRAM, str(tmp_path)]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -1,4 +1,4 @@
-"""Parts of other packages that are not public, and that a new version of theirs may move."""
+"""Private parts of other packages, which their new versions may move."""
 
 import inspect
 from importlib import import_module
@@ -6,7 +6,7 @@ from typing import Any
 
 from tests.test_architecture import OWN, list_imports
 
-#: Where each is used, and what has to be looked at when it moves.
+#: Private names, and the file that uses each.
 PRIVATE = {
     "torch._functorch.compile_utils.fx_graph_cse": "training/tracing.py",
     "torch._guards.TracingContext": "physics/fast/compiled.py",
@@ -39,7 +39,7 @@ def _find(name: str) -> Any:
     return getattr(import_module(module), attribute)
 
 
-def test_private_parts_are_listed_and_exist_in_the_installed_versions() -> None:
+def test_private_names_are_listed_and_exist() -> None:
     foreign = {name for name in list_imports(*OWN) if name.partition(".")[0] not in OWN}
     assert {name for name in foreign if "._" in name.replace(".__", "")} == set(PRIVATE)
     for name in PRIVATE:
