@@ -17,6 +17,8 @@ from fishrl.envs.task import AbstractTask
 
 #: The group of all fish; TorchRL's name for it.
 AGENTS = "agents"
+#: Before the names of a reward's terms, which are per-fish entries.
+TERM = "reward/"
 
 
 def name_entry(task: AbstractTask, name: str) -> str | tuple[str, str]:

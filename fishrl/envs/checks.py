@@ -23,10 +23,14 @@ def check_starts_of(task: AbstractTask) -> None:
     task.check_starts(starts)
 
 
-def check_answers(task: AbstractTask, now: TensorDictBase) -> None:
-    """Raise ValueError for a wrong observation, mask, termination or report of measurements."""
+def check_answers(task: AbstractTask, now: TensorDictBase) -> dict[str, Tensor]:
+    """Return the terms of the reward for no change; raise ValueError for a wrong answer of a task.
+
+    Checked are observation, mask, termination, terms of the reward and report of measurements.
+    """
     rows = tuple(now.shape)
     own = shape_fish(task, rows[0])
+    _require(task, "n_obs", task.n_obs > 0, task.n_obs, "senses, or n_obs and observe")
     observed = check_rows(task, "observe", task.observe(now), (*own, task.n_obs), torch.float32)
     is_finite = bool(observed.isfinite().all())
     _require(task, "observe", is_finite, observed.tolist(), "finite numbers")
@@ -40,6 +44,7 @@ def check_answers(task: AbstractTask, now: TensorDictBase) -> None:
         expected = f"(least, largest) of {task.num_actions} numbers, as num_actions says"
         _require(task, "action_bounds", is_right, bounds, expected)
     check_rows(task, "is_terminated", task.is_terminated(now), rows, torch.bool)
+    terms = check_terms(task, task.reward(now, now), own)
     check_rows(task, "count_safe_steps", task.count_safe_steps(now), rows)
     report, word = task.report(now), task.success
     _require(task, "report", isinstance(report, dict | TensorDictBase), report, "a dict")
@@ -51,6 +56,7 @@ def check_answers(task: AbstractTask, now: TensorDictBase) -> None:
         flag = report[word]
         flag = flag.squeeze(1) if flag.dim() == 2 else flag
         check_rows(task, f"report {word!r}", flag, rows, torch.bool)
+    return terms
 
 
 def check_rows(
@@ -66,6 +72,14 @@ def check_rows(
     _require(task, name, is_tensor and dtype in (None, got.dtype), got, expected)
     tensor: Tensor = got
     return tensor
+
+
+def check_terms(task: AbstractTask, terms: Any, shape: tuple[int, ...]) -> dict[str, Tensor]:
+    """Return the terms of a task's reward; raise ValueError unless each is of this shape."""
+    expected = f"named terms, such as {{'progress': ...}}, each a tensor of shape {shape}"
+    is_named = isinstance(terms, dict) and terms and all(isinstance(name, str) for name in terms)
+    _require(task, "reward", bool(is_named), terms, expected)
+    return {n: check_rows(task, f"reward {n!r}", term, shape) for n, term in terms.items()}
 
 
 def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None:

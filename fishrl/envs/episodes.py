@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from fishrl.envs.agents import EachFish, average_fish
+from fishrl.envs.agents import TERM, EachFish, average_fish
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.task import AbstractTask
 from fishrl.envs.traces import Traces
@@ -32,6 +32,8 @@ class Episodes:
     #: ``[E]`` bool, whether the flow diverged; such an episode counts as no success
     diverged: Tensor
     interval_T: float  #: duration of a decision in T
+    #: ``[E]`` sums of the terms of the reward by ``reward/<term>``, averaged over several fish
+    terms: dict[str, Tensor] = field(default_factory=dict)
     #: ``[E]`` bool each, flags at the end by name, see ``name_counted``
     counted: dict[str, Tensor] = field(default_factory=dict)
     #: what the callbacks of ``run_episodes`` returned
@@ -48,6 +50,7 @@ class Episodes:
             "mean_time_to_success_T": float(times.mean()) if len(times) else math.nan,
             "episodes": len(self.succeeded),
             "diverged": int(self.diverged.sum()),
+            **{name: float(total.double().mean()) for name, total in self.terms.items()},
             **{f"{name}_rate": float(flag.double().mean()) for name, flag in self.counted.items()},
         }
 
@@ -92,7 +95,7 @@ def run_episodes(
     base, num_starts = env.base_env, starts.shape[0]
     act = policy if base.task.num_fish == 1 else EachFish(policy)
     device, num_rows, counted = base.device, env.batch_size[0], name_counted(env)
-    returns = torch.zeros(num_starts, device=device)
+    sums = {name: torch.zeros(num_starts, device=device) for name in ("reward", *name_terms(env))}
     lengths = torch.zeros(num_starts, dtype=torch.int64, device=device)
     flags = {
         name: torch.zeros(num_starts, dtype=torch.bool, device=device)
@@ -123,7 +126,8 @@ def run_episodes(
             step = env.step(act(state))
             call(on_step, start_of, step)
             after, index = step["next"], start_of[is_open]
-            returns[index] += average_fish(after, "reward")[is_open, 0]
+            for name, total in sums.items():
+                total[index] += average_fish(after, name)[is_open, 0]
             lengths[index] += 1
             ended = after.select("terminated", "diverged")
             ended["succeeded"] = has_succeeded(after, base.task.success) & after["done"]
@@ -141,7 +145,8 @@ def run_episodes(
             state, has_begun = env.maybe_reset(env.step_mdp(step)), is_done & (start_of >= 0)
     done = {name: flag.cpu() for name, flag in flags.items()}
     return Episodes(
-        returns=returns.cpu(),
+        returns=sums.pop("reward").cpu(),
+        terms={name: total.cpu() for name, total in sums.items()},
         lengths=lengths.cpu(),
         interval_T=base.task.interval_T,
         counted={name: done.pop(name) for name in counted},
@@ -153,6 +158,13 @@ def run_episodes(
 def count_decisions(task: AbstractTask, periods: float | None) -> int:
     """Return how many decisions last some periods T, rounded up; None is a whole episode."""
     return task.time_limit if periods is None else math.ceil(periods / task.interval_T - 1e-9)
+
+
+def name_terms(env: EnvBase) -> list[str]:
+    """Return the entries with the terms of the reward, ``reward/<term>``, per fish as it is."""
+    keys = env.base_env.observation_spec.keys(True, True)
+    leaves = (key if isinstance(key, str) else key[-1] for key in keys)
+    return [name for name in leaves if name.startswith(TERM)]
 
 
 def name_counted(env: EnvBase) -> dict[str, tuple[str, int]]:

@@ -96,11 +96,6 @@ class HasScene:
         """Name of the task; by default that of its class."""
         return ""
 
-    @property
-    def senses(self) -> tuple[str, ...]:
-        """What the policy observes, in words."""
-        return ()
-
     def name_endings(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return by words, such as "caught", whether they say how an episode ended, ``[B]`` bool.
 

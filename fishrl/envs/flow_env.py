@@ -1,15 +1,16 @@
 """The environment: B flows with a fish in each, and a task, as one TorchRL ``EnvBase``.
 
     action --task--> turn, frequency --solver--> n_substeps steps --task--> measurement
-           --> observation, reward, terminated, action mask
+           --> observation, terms of the reward, terminated, action mask
 
 This is the only ``EnvBase``; a task supplies everything specific. ``make_env`` adds TorchRL's
 transforms.
 """
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import reduce
 from inspect import Signature, signature
 from math import inf
 from typing import Any
@@ -21,13 +22,13 @@ from torchrl.data import Categorical, Composite
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import MarlGroupMapType
 
-from fishrl.envs.agents import group, name_entry, shape_fish
+from fishrl.envs.agents import TERM, group, name_entry, shape_fish
 from fishrl.envs.checks import (
     check_action,
     check_answers,
     check_command,
-    check_rows,
     check_starts_of,
+    check_terms,
     scale_action,
 )
 from fishrl.envs.draws import draw_uniform
@@ -163,21 +164,20 @@ class FlowEnv(EnvBase):
 
     def _begin(self) -> TensorDict:
         """Measure at the beginning of an episode, with the first sample repeated."""
-        now = self.measure()
-        if num := self._history.num_samples:
-            sensed = self._sense()
-            self._sensors = list(sensed.keys())
-            now.update(sensed.apply(lambda t: t.unsqueeze(1).expand(-1, num, *t.shape[1:])))
+        now, sensed, num = self.measure(), self._sense(), self._history.num_samples
+        self._measured, self._sensors = list(now.keys()), list(sensed.keys())
+        now.update(sensed.apply(lambda t: t.unsqueeze(1).expand(-1, num, *t.shape[1:])))
         return now.update(self._history.begin(now))
 
     def _sense(self) -> TensorDict:
-        return TensorDict(
-            self._history.sense(self.solver, self.start), self.batch_size, device=self.device
-        )
+        has_series = self._history.num_samples > 0
+        sensed = self._history.sense(self.solver, self.start) if has_series else {}
+        return TensorDict(sensed, self.batch_size, device=self.device)
 
     def _make_specs(self) -> None:
         """Derive the specs from the task and a first measurement."""
-        check_answers(self.task, self.now)
+        terms = check_answers(self.task, self.now)
+        self._no_terms = {name: torch.zeros_like(term) for name, term in terms.items()}
         observation, action, reward = (
             spec.to(self.device) for spec in make_specs(self.task, self.now)
         )
@@ -207,8 +207,8 @@ class FlowEnv(EnvBase):
         self._episode = self._episode + rows
         self.task.place_(self.solver, rows, self.start)
         self.now = _merge(rows, self._begin(), self.now)
-        none = torch.zeros_like(rows)
-        return self._write(diverged=none, done=none, terminated=none, truncated=none)
+        flags = ("diverged", "done", "terminated", "truncated")
+        return self._write(self._no_terms, **dict.fromkeys(flags, torch.zeros_like(rows)))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = self._read_action(tensordict[name_entry(self.task, "action")])
@@ -229,15 +229,17 @@ class FlowEnv(EnvBase):
                 "flows %s diverged and were truncated; %d so far", rows, self.num_diverged
             )
         terminated = self.task.is_terminated(self.now) & ~diverged
-        reward = self.task.reward(before, self.now)
-        reward = check_rows(self.task, "reward", reward, self._shape).float()
-        reward = torch.where(diverged.view(-1, *(1,) * (reward.dim() - 1)), 0.0, reward)
+        is_lost = diverged.view(-1, *(1,) * (len(self._shape) - 1))
+        terms = check_terms(self.task, self.task.reward(before, self.now), self._shape)
+        terms = {name: torch.where(is_lost, 0.0, term) for name, term in terms.items()}
         result = self._write(
+            terms,
             diverged=diverged,
             done=terminated | diverged,
             terminated=terminated,
             truncated=diverged,
         )
+        reward = reduce(torch.add, terms.values()).float()
         return result.set(name_entry(self.task, "reward"), reward.unsqueeze(-1))
 
     def _advance(self, before: TensorDict) -> tuple[TensorDict, Tensor]:
@@ -246,39 +248,35 @@ class FlowEnv(EnvBase):
         Returns each row's measurement at its termination or at the end of the action, with its
         sensor series (undefined in diverged rows), and ``[B]`` bool, the diverged rows.
         """
-        now, diverged = before, torch.zeros_like(self._rows, dtype=torch.bool)
-        has_ended = self.is_resting
-        samples: list[TensorDict] = []
-        if self._history.num_samples:  # a row that has ended keeps what it sensed last
-            kept = before.select(*self._sensors).apply(lambda series: series[:, -1])
-        num_due = num_unmeasured = 0  # steps to take, and since the last measurement
-        num_safe = 0.0  # from then on
+        now, has_ended = before.select(*self._measured), self.is_resting
+        diverged, samples = torch.zeros_like(has_ended), list[TensorDict]()
+        sensed = before.select(*self._sensors).apply(lambda series: series[:, -1])
+        num_due, num_safe = 0, 0.0  # steps to take, and steps from now within which no row ends
         for stretch in self._schedule:
-            num_due, num_unmeasured = (n + stretch.num_steps for n in (num_due, num_unmeasured))
+            num_due += stretch.num_steps
             # not <=: NaN asks for a check
-            is_check = stretch.is_check and (stretch.is_last or not num_unmeasured <= num_safe)
+            is_check = stretch.is_last or (stretch.is_check and not num_due <= num_safe)
             on_frame = self.on_frame if stretch.is_frame else None
             if not (is_check or on_frame or stretch.is_sample):
                 continue
             self.solver.advance_(num_due, ~has_ended)
-            num_due = 0
+            num_due, num_safe = 0, num_safe - num_due
             self.is_moving, self.is_ending = ~has_ended, torch.zeros_like(has_ended)
-            if stretch.is_sample:
-                kept = _merge(has_ended, kept, self._sense())
-                samples.append(kept)
+            if stretch.is_sample:  # a row that has ended keeps what it sensed last
+                sensed = _merge(has_ended, sensed, self._sense())
+                samples.append(sensed)
             if is_check:
-                measured, num_unmeasured = self.measure(), 0
+                measured = self.measure()
                 self.is_ending = self.task.is_terminated(measured) & ~has_ended
+                num_safe = self._count_safe_steps(measured, has_ended | self.is_ending)
                 is_new = ~has_ended if stretch.is_last else self.is_ending
                 # Checking whole fields is expensive: on a CPU only where rows have just ended; to
                 # ask a GPU whether any have would be to wait for it.
                 if is_new.is_cuda or is_new.any():
                     diverged = diverged | is_new & self.solver.is_diverged()
-                    now = _merge(is_new, measured, now.select(*measured.keys()))
+                    now = _merge(is_new, measured, now)
                     has_ended = has_ended | is_new
-                    if self._history.num_samples and not samples:
-                        kept = _merge(is_new, self._sense(), kept)
-                num_safe = self._count_safe_steps(measured, has_ended)
+                    sensed = sensed if samples else _merge(is_new, self._sense(), sensed)
             if on_frame:
                 on_frame(self)
         return now.update(torch.stack(samples, 1)) if samples else now, diverged
@@ -287,8 +285,7 @@ class FlowEnv(EnvBase):
         """Return for how many steps no row ends; 0 on a GPU, where reading it would wait."""
         if has_ended.is_cuda:
             return 0.0
-        safe = self.task.count_safe_steps(now)
-        return float(safe.masked_fill(has_ended, inf).min())
+        return float(self.task.count_safe_steps(now).masked_fill(has_ended, inf).min())
 
     def _read_action(self, action: Tensor) -> Tensor:
         """Return legal actions in the form that the task expects."""
@@ -308,9 +305,10 @@ class FlowEnv(EnvBase):
             )
         return {name: tensordict[name].reshape(self.batch_size) for name in self._history.inputs}
 
-    def _write(self, **flags: Tensor) -> TensorDict:
-        """Return observation, mask, reported entries and flags; ``[B]`` become columns."""
+    def _write(self, terms: Mapping[str, Tensor], **flags: Tensor) -> TensorDict:
+        """Return observation, mask, terms of the reward, reported entries and flags, as columns."""
         own = {"observation": self.task.observe(self.now)}
+        own |= {TERM + name: term.float().unsqueeze(-1) for name, term in terms.items()}
         if self.task.action_bounds is None:
             own["action_mask"] = self.task.action_mask(self.now).clone()
         columns = {**self.task.report(self.now), **flags}

@@ -3,9 +3,8 @@
 A task lists names in ``observes``; the observation joins what they read, in that order.
 """
 
-from collections.abc import Callable
 from math import pi
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import torch
 from tensordict import TensorDictBase
@@ -15,6 +14,7 @@ from fishrl.envs.extensions import HasFlowLabels
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.sensors import wrap_angle
 from fishrl.envs.streams import AbstractStreamTask
+from fishrl.envs.task import Sense
 from fishrl.physics.bodies.state import BodyState
 
 SenseName = Literal[
@@ -38,24 +38,30 @@ DEFAULT_SENSES: tuple[SenseName, ...] = (
 )
 
 
-class Sense(NamedTuple):
-    """A part of the observation."""
-
-    words: str  #: what it is, for people
-    size: int  #: how many numbers it has
-    read: Callable[[TensorDictBase], Tensor]  #: returns them, ``[B, size]``, from a measurement
-
-
-#: Powers of the stream speed in the lateral line's features; those not listed are not scaled.
-_POWERS = dict.fromkeys(("u_x", "u_y", "speed", "ahead", "left", "slip", "shear"), 1)
-_POWERS |= {"p": 2, "pressure": 2}
+#: What a fish feels of itself, see ``measure_own_motion``.
+OWN_SENSES = {
+    "heading": Sense("heading", ("from upstream [rad]",), lambda now: now["facing"][:, None]),
+    "own_motion": Sense(
+        "own motion",
+        (
+            "sine of the phase of the tail beat",
+            "cosine of the phase",
+            "bend, positive to the left [L]",
+            "frequency [1/T]",
+            "yaw rate, positive to the left [rad/T]",
+        ),
+        lambda now: now["own_motion"],
+    ),
+}
+#: Powers of the speed U of the stream that the lateral line's features are divided by, and units.
+_SCALES = {"t": (0, "T"), "x": (0, "L"), "y": (0, "L"), "shear": (1, "U/L")}
+_SCALES |= dict.fromkeys(("u_x", "u_y", "speed", "ahead", "left", "slip"), (1, "U"))
+_SCALES |= dict.fromkeys(("p", "pressure"), (2, "ρ U²"))
 
 
 def list_senses(line: LateralLine, *, stream_speed_bl: float) -> dict[str, Sense]:
     """Return all senses of a fish with this lateral line.
 
-    ``own_motion`` is what a fish can feel of itself: sine and cosine of the phase of its tail beat,
-    bend (L, positive to the left), frequency (beats per T) and yaw rate (radians per T).
     ``lateral_line`` holds the latest signal of each neuromast and its change since the last
     decision, velocities divided by the speed U of the fastest stream and pressures by its square.
     ``flow_label`` is appended by a transform, after all others.
@@ -64,27 +70,35 @@ def list_senses(line: LateralLine, *, stream_speed_bl: float) -> dict[str, Sense
         line: the neuromasts.
         stream_speed_bl: U in L / T.
     """
-    units = [stream_speed_bl ** _POWERS.get(name, 0) for name in line.features]
+    scales = [stream_speed_bl ** _SCALES[name][0] for name in line.features]
 
     def read_lateral_line(now: TensorDictBase) -> Tensor:
         signal, before = now["lateral_line"][:, -1], now["lateral_line_before"]
         both = torch.stack((signal, signal - before), 1).unbind(-1)
         return torch.stack(
-            [part / unit for part, unit in zip(both, units, strict=True)], -1
+            [part / scale for part, scale in zip(both, scales, strict=True)], -1
         ).flatten(1)
 
-    num_signals = (1 if line.is_averaged else line.num_neuromasts) * len(line.features)
+    signals = [
+        f"{what}{name} at neuromast {number} [{_SCALES[name][1]}]"
+        for what in ("", "change of ")
+        for number in range(1 if line.is_averaged else line.num_neuromasts)
+        for name in line.features
+    ]
     return {
-        "place": Sense("place", 2, lambda now: now["place"]),
-        "drift": Sense("drift", 2, lambda now: now["drift"]),
-        "heading": Sense("heading", 1, lambda now: now["facing"][:, None]),
-        "own_motion": Sense("own motion", 5, lambda now: now["own_motion"]),
-        "tail_beat": Sense("tail beat", 1, lambda now: now["frequency"][:, None]),
-        "water_velocity": Sense(
-            "velocity at the lateral line", 2, lambda now: now["velocity"].mean(1)
+        **OWN_SENSES,
+        "place": Sense("place", ("x [L]", "y [L]"), lambda now: now["place"]),
+        "drift": Sense("drift", ("Δx [L]", "Δy [L]"), lambda now: now["drift"]),
+        "tail_beat": Sense(
+            "tail beat", ("frequency [1/T]",), lambda now: now["frequency"][:, None]
         ),
-        "lateral_line": Sense("lateral line", 2 * num_signals, read_lateral_line),
-        "flow_label": Sense("flow label", 0, lambda now: now["place"][:, :0]),
+        "water_velocity": Sense(
+            "velocity at the lateral line",
+            ("u_x [L/T]", "u_y [L/T]"),
+            lambda now: now["velocity"].mean(1),
+        ),
+        "lateral_line": Sense("lateral line", tuple(signals), read_lateral_line),
+        "flow_label": Sense("flow label", (), lambda now: now["place"][:, :0]),
     }
 
 
@@ -123,26 +137,13 @@ class AbstractSensingTask(AbstractStreamTask, HasFlowLabels):
         super().__post_init__()
 
     @property
-    def n_obs(self) -> int:
-        """Length of one observation."""
-        return sum(sense.size for sense in self._list_observed())
-
-    @property
     def num_label_inputs(self) -> int:
         """One per flow, or none."""
         return len(self.flow_labels) if "flow_label" in self.observes else 0
 
     @property
-    def senses(self) -> tuple[str, ...]:
-        """What is observed, in words."""
-        used = [sense for sense in self._list_observed() if sense.size or self.reads_flow_class]
-        return tuple(dict.fromkeys(sense.words for sense in used))
-
-    def observe(self, now: TensorDictBase) -> Tensor:
-        """Return what the senses read."""
-        return torch.cat([sense.read(now).float() for sense in self._list_observed()], -1)
-
-    def _list_observed(self) -> list[Sense]:
-        speed = self.max_stream_speed_bl
-        senses = list_senses(self.lateral_line, stream_speed_bl=speed)
-        return [senses[name] for name in self.observes]
+    def senses(self) -> tuple[Sense, ...]:
+        """The senses that ``observes`` names."""
+        known = list_senses(self.lateral_line, stream_speed_bl=self.max_stream_speed_bl)
+        shown = [name for name in self.observes if name != "flow_label" or self.reads_flow_class]
+        return tuple(known[name] for name in shown)

@@ -12,6 +12,9 @@ from torch import Tensor
 
 from fishrl.physics.flow import FlowConfig
 
+#: The numbers of ``sense_target``.
+TARGET = ("x [L]", "y [L]", "distance [L]", "bearing error, positive to the left [rad]")
+
 
 def wrap_angle(angle: Tensor) -> Tensor:
     """Wrap angles to (-pi, pi] radians."""

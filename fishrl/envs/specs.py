@@ -4,7 +4,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
 
-from fishrl.envs.agents import AGENTS
+from fishrl.envs.agents import AGENTS, TERM
 from fishrl.envs.task import AbstractTask
 
 
@@ -21,6 +21,7 @@ def make_specs(task: AbstractTask, now: TensorDictBase) -> tuple[Composite, Comp
         for shape in [tuple(value.shape[1:]) or (1,)]
     }
     own: dict[str, TensorSpec] = {"observation": Unbounded((task.n_obs,))}
+    own |= {TERM + name: Unbounded((1,)) for name in task.reward(now, now)}
     action: TensorSpec = Bounded(-1.0, 1.0, shape=(task.num_actions,))
     if task.action_bounds is None:
         own["action_mask"] = Binary(task.num_actions, dtype=torch.bool)

@@ -61,13 +61,13 @@ class StationReward(Settings):
     """Reward for holding station with little work: r1 to r4 of the paper's Task 2.
 
     Args:
-        drift_limit_bl: downstream drift in one interval beyond which r1 is -1 instead of +1;
-            a quarter of the paper's 20 nodes, for a quarter of its interval.
-        work_weight: r2 = work_weight (1 - work of the interval / work_reference).
+        drift_limit_bl: downstream drift in one interval beyond which r1, ``hold``, is -1 instead of
+            +1; a quarter of the paper's 20 nodes, for a quarter of its interval.
+        work_weight: weight of r2, ``work`` = work_weight (1 - work / work_reference).
         work_reference: work of an interval in rho L^2 (L / T)^2; corresponds to 0.4 per T, twice
             the work of a typical gait.
-        danger_penalty: r3, subtracted on entering the danger area or touching an edge.
-        rim_weight: r4, subtracted per body length inside the rim; the paper's
+        danger_penalty: r3, ``danger``, subtracted on entering the danger area or touching an edge.
+        rim_weight: r4, ``rim``, subtracted per body length inside the rim; the paper's
             (L_max - L_dis) / 10 in nodes.
     """
 
@@ -79,12 +79,15 @@ class StationReward(Settings):
 
     def compute(
         self, *, drift: Tensor, work: Tensor, depth: Tensor, is_in_danger: Tensor
-    ) -> Tensor:
-        """Return the reward ``[B]`` of one interval, from downstream ``drift`` ``[B]`` in L.
+    ) -> dict[str, Tensor]:
+        """Return the terms ``[B]`` for one interval, from downstream ``drift`` ``[B]`` in L.
 
         ``work`` ``[B]`` is done by the muscles, rho L^2 (L / T)^2, ``depth`` ``[B]`` is inside
         the rim in L, 0 outside, and ``is_in_danger`` ``[B]`` bool.
         """
-        holds = torch.where(drift > self.drift_limit_bl, -1.0, 1.0)
-        saved = self.work_weight * (1.0 - work / self.work_reference)
-        return holds + saved - self.rim_weight * depth - self.danger_penalty * is_in_danger
+        return {
+            "hold": torch.where(drift > self.drift_limit_bl, -1.0, 1.0),
+            "work": self.work_weight * (1.0 - work / self.work_reference),
+            "rim": -self.rim_weight * depth,
+            "danger": -self.danger_penalty * is_in_danger,
+        }

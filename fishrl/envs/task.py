@@ -11,9 +11,10 @@ in an underscore for what changes its object in place.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from functools import cached_property
 from math import ceil
-from typing import Annotated, Any, NamedTuple, final
+from typing import Annotated, Any, NamedTuple
 
 import torch
 from pydantic import Field, PositiveFloat, PositiveInt
@@ -45,10 +46,19 @@ class Command(NamedTuple):
     amplitude: Tensor | None = None
 
 
+class Sense(NamedTuple):
+    """A part of the observation."""
+
+    name: str  #: such as "place of the food"
+    numbers: tuple[str, ...]  #: name and unit of each of its numbers, such as "x [L]"
+    read: Callable[[TensorDictBase], Tensor]  #: returns them, ``[B, n]``, from a measurement
+
+
 class AbstractTask(Settings, ABC):
     """Base of all tasks: a fish in a tank of still water with one decision per control interval.
 
-    Sizes such as ``n_obs`` may be given as class attributes, ``n_obs: ClassVar[int] = 3``.
+    A task lists its ``senses``, or defines ``n_obs`` and ``observe``. Sizes may be given as class
+    attributes, ``n_obs: ClassVar[int] = 3``.
 
     Args:
         body_length: L in nodes; at Reynolds number 7000 at least 50 for a useful swimming speed.
@@ -103,9 +113,14 @@ class AbstractTask(Settings, ABC):
         }
 
     @property
-    @abstractmethod
+    def senses(self) -> tuple[Sense, ...]:
+        """Parts of the observation, in their order."""
+        return ()
+
+    @property
     def n_obs(self) -> int:
         """Length of one observation."""
+        return sum(len(sense.numbers) for sense in self.senses)
 
     @property
     @abstractmethod
@@ -221,7 +236,6 @@ class AbstractTask(Settings, ABC):
             radians, both float64, and any other parameters of an episode.
         """
 
-    @final
     def sample_starts(self, num: int, generator: torch.Generator) -> TensorDict:
         """Draw ``num`` starts ``[E]``."""
         return self.starts_from(
@@ -265,13 +279,17 @@ class AbstractTask(Settings, ABC):
         ``[B]`` belong to the episodes. Return copies: the solver's tensors change in place.
         """
 
-    @abstractmethod
     def observe(self, now: TensorDictBase) -> Tensor:
         """Return the observation ``[B, n_obs]``, float32."""
+        return torch.cat([sense.read(now).float() for sense in self.senses], -1)
 
     @abstractmethod
-    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Return the reward ``[B]`` of the interval between two measurements."""
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> dict[str, Tensor]:
+        """Return the terms ``[B]`` of the reward for the interval between two measurements.
+
+        The reward is their sum. Each term is reported by its name, ``reward/<term>``; a section
+        ``Terms:`` of the docstring gives its formula for the reference page.
+        """
 
     @abstractmethod
     def is_terminated(self, now: TensorDictBase) -> Tensor:
@@ -283,8 +301,9 @@ class AbstractTask(Settings, ABC):
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
         """Return a number of steps ``[B]`` in which an episode certainly does not terminate.
 
-        The environment skips the checks for termination within these steps. ``now`` is as in
-        ``is_terminated``. The default, 0, is always valid.
+        The environment skips the checks for termination within these steps, on a CPU. ``now`` is as
+        in ``is_terminated``. The default, 0, is always valid. With ``Predation`` at L = 32 it saves
+        30 % of a decision with one flow and a tenth with 16.
         """
         return torch.zeros(now.shape, device=now.device)
 

@@ -124,7 +124,8 @@ def make_scene(task: AbstractTask) -> Scene:
 def _describe(task: AbstractTask, extension: HasScene) -> str:
     """Return a task's name and what its policy observes."""
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(task).__name__).capitalize()
-    senses = f"senses: {', '.join(extension.senses)}" if extension.senses else ""
+    names = ", ".join(dict.fromkeys(sense.name for sense in task.senses))
+    senses = f"senses: {names}" if names else ""
     return _SEPARATOR.join(filter(None, (extension.title or words, senses)))
 
 

@@ -16,7 +16,7 @@ import torch
 from tensordict import TensorDictBase
 
 from fishrl.envs.agents import split_fish
-from fishrl.envs.episodes import Episodes, Policy, name_counted, run_episodes
+from fishrl.envs.episodes import Episodes, Policy, name_counted, name_terms, run_episodes
 from fishrl.settings import describe
 from fishrl.torch_state import one_thread, with_own_state
 from fishrl.training.baselines import make_baseline
@@ -82,7 +82,8 @@ class Training:
             ChildProcessError: if a process of the flows dies; see ``runs.complete``.
             CheckpointNotWritten: if the first or the last checkpoint cannot be written.
         """
-        columns = list_metrics(self.learner.reports, name_counted(self.collector.env))
+        env = self.collector.env
+        columns = list_metrics(self.learner.reports, name_counted(env), name_terms(env))
         frames, config = self.counters.frames, self.plan.to_config()
         self.plan.logger.open(self.folder.path, columns=columns, config=config, step=frames)
         if frames == 0:

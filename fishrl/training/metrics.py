@@ -16,9 +16,12 @@ from fishrl.envs.episodes import has_succeeded
 WINDOW = 32
 
 
-def list_metrics(losses: tuple[str, ...], counted: Iterable[str] = ()) -> tuple[str, ...]:
-    """List the columns of metrics.csv, given the losses of the algorithm and what a task counts.
+def list_metrics(
+    losses: tuple[str, ...], counted: Iterable[str] = (), terms: Iterable[str] = ()
+) -> tuple[str, ...]:
+    """List the columns of metrics.csv.
 
+    Arguments are the losses of the algorithm, and the task's counted flags and reward terms.
     ``train/`` describes the last episodes or the last gradient step, ``eval/`` the greedy policy
     from fixed starts, ``time/`` this machine. The seed determines all but ``time/``.
     """
@@ -29,6 +32,7 @@ def list_metrics(losses: tuple[str, ...], counted: Iterable[str] = ()) -> tuple[
         *(f"train/{name}" for name in losses),
         *(f"eval/{name}" for name in (*of_eval, "episodes", "diverged")),
         *(f"eval/{name}_rate" for name in counted),
+        *(f"eval/{name}" for name in terms),
         *(f"time/{name}" for name in of_time),
     )
 

@@ -12,11 +12,11 @@ from torch import Tensor
 from torchrl.envs import TransformedEnv
 
 from fishrl.envs import views
-from fishrl.envs.agents import read_entry
-from fishrl.envs.episodes import Episodes, Policy, has_succeeded, run_episodes
+from fishrl.envs.agents import TERM, read_entry
+from fishrl.envs.episodes import Episodes, Policy, has_succeeded, name_terms, run_episodes
 from fishrl.envs.extensions import HasScene, find_extension, name_flow
 from fishrl.envs.flow_env import FlowEnv
-from fishrl.envs.scene import Choice, Ending, Frame, Scene
+from fishrl.envs.scene import Choice, Ending, Frame, Panel, Scene, Series
 from fishrl.envs.task import AbstractTask
 
 
@@ -39,7 +39,22 @@ def make_env_scene(
         ValueError: for an unknown field.
     """
     scene: Scene = views.make_scene(env.base_env.task)
-    outputs = {*env.observation_spec.keys(), "action", "reward"}
+    num_fish, terms = env.base_env.task.num_fish, name_terms(env)
+    series = (
+        Series(key=term, label=term.removeprefix(TERM) + f", fish {i}" * (num_fish > 1), column=i)
+        for term in terms
+        for i in range(num_fish)
+    )
+    if len(terms) > 1:
+        panel = Panel(
+            name="terms of r, as ±log₂(1 + |term|)",
+            series=tuple(series),
+            is_step=True,
+            is_output=True,
+            is_log=True,
+        )
+        scene = replace(scene, panels=(scene.panels[0], panel, *scene.panels[1:]))
+    outputs = {*env.observation_spec.keys(), "action", "reward", *terms}
     panels = tuple(
         panel
         for panel in scene.panels
@@ -160,8 +175,11 @@ class Recorder:
         the start of its episode.
         """
         after = step["next"]
-        read = {name: read_entry(step, name) for name in self._scene.output_keys}
-        read["reward"] = read_entry(after, "reward")
+        rewards = {"reward", *name_terms(self._base)}
+        read = {
+            name: read_entry(after if name in rewards else step, name)
+            for name in self._scene.output_keys | {"reward"}
+        }
         endings = list_endings(after, self._base.task, self._reasons)
         for row in rows:
             outputs = {name: value[row].cpu() for name, value in read.items() if value is not None}

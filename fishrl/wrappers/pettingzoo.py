@@ -9,6 +9,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
 from fishrl.envs.agents import AGENTS
+from fishrl.envs.episodes import name_terms
 from fishrl.extras import show_install
 from fishrl.wrappers.pictures import Array, Pictures
 
@@ -149,6 +150,9 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
             if name != AGENTS
         }
         infos = {name: dict(flow) for name in self.possible_agents}
+        for term in name_terms(self.env):
+            for name, value in zip(self.possible_agents, self._state[AGENTS, term][0], strict=True):
+                infos[name][term] = value.cpu().numpy()
         if not self.is_continuous:
             masks = self._state[AGENTS, "action_mask"][0].cpu().numpy().astype(np.int8)
             for name, mask in zip(self.possible_agents, masks, strict=True):

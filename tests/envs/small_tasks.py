@@ -33,8 +33,8 @@ class GoLeft(AbstractTask):
     def observe(self, now: TensorDictBase) -> Tensor:
         return torch.stack((now["x"], now["heading"]), -1).float()
 
-    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        return before["x"] - now["x"]
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> dict[str, Tensor]:
+        return {"progress": before["x"] - now["x"]}
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
         return now["x"] < 1.0

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from functools import cached_property
 from math import inf, pi, radians
-from typing import Annotated, ClassVar, Literal, final
+from typing import Annotated, ClassVar, Literal
 
 import torch
 from pydantic import Field, PositiveFloat
@@ -16,7 +16,7 @@ from fishrl.envs.scene import Scene
 from fishrl.envs.sensors import compute_clearance, compute_gap, wrap_angle
 from fishrl.envs.starts import check_fit, place_fish, place_outline
 from fishrl.envs.streams import AbstractStreamTask, Stream
-from fishrl.envs.task import Command
+from fishrl.envs.task import Command, Sense
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending, Driven
 from fishrl.physics.fast.solver import InPlaceSolver
@@ -29,7 +29,6 @@ _Frequency = Annotated[float, Field(gt=0, le=10)]
 _Share = Annotated[float, Field(ge=0, le=1)]
 
 
-@final
 class Follower(AbstractStreamTask, HasHistory, HasScene):
     """Hold a place in the wake of a leader by bending the midline and choosing the tail beat.
 
@@ -103,11 +102,6 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
         super().__post_init__()
         corners = torch.cartesian_prod(*[torch.linspace(0.0, 1.0, 3).double()] * 3)
         self.check_starts(self.starts_from(torch.nn.functional.pad(corners, (0, 1))))
-
-    @property
-    def n_obs(self) -> int:
-        """Length of one observation."""
-        return 10 + 2 * self.num_actions
 
     @property
     def num_actions(self) -> int:
@@ -260,20 +254,44 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
         share = 2.0 * (action - low) / (high - low) - 1.0
         return {"actions": torch.stack((before["actions"][:, 1], share), 1)}
 
-    def observe(self, now: TensorDictBase) -> Tensor:
-        """Return the observation, see the class."""
-        own, ahead = now["phase"], now["phase_ahead"]
-        columns = (now["heading"], own.sin(), own.cos(), ahead.sin(), ahead.cos())
-        numbers = (now["place"], torch.stack(columns, -1), now["velocity"], now["spin"][:, None])
-        return torch.cat((*numbers, now["actions"].flatten(1)), -1).float()
+    @property
+    def senses(self) -> tuple[Sense, ...]:
+        """Place, heading, what the fish feels of the water and of itself, and its actions."""
 
-    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Return the efficiency of the interval, or -10."""
+        def read_wave(phase: Tensor) -> Tensor:
+            return torch.stack((phase.sin(), phase.cos()), -1)
+
+        wave = ("sine of the phase", "cosine of the phase")
+        actions = [f"{name} (in [-1, 1])" for name in self.action_names]
+        return (
+            Sense("place", ("x [L]", "y [L]"), lambda now: now["place"]),
+            Sense("heading", ("from upstream [rad]",), lambda now: now["heading"][:, None]),
+            Sense("tail beat", wave, lambda now: read_wave(now["phase"])),
+            Sense("beat relative to the leader", wave, lambda now: read_wave(now["phase_ahead"])),
+            Sense("velocity", ("x [L/T]", "y [L/T]"), lambda now: now["velocity"]),
+            Sense("yaw rate", ("counter-clockwise [rad/T]",), lambda now: now["spin"][:, None]),
+            Sense("action before last", tuple(actions), lambda now: now["actions"][:, 0]),
+            Sense("last action", tuple(actions), lambda now: now["actions"][:, 1]),
+        )
+
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> dict[str, Tensor]:
+        """Return the efficiency of the interval, or the penalty for a failure.
+
+        Terms:
+            efficiency: E / (E + max(W, 0)), with E = ``cost_alone`` · max(s, 0), s the way through
+                the water [L] and W the work of the muscles [ρ L⁴/T²]; 0 after a failure.
+            failure: −10 if the follower leaves its range, touches the leader or comes within
+                ``wall_margin_bl`` of an edge, 0 otherwise.
+        """
         swum = self._measure_way(now) - self._measure_way(before)
         useful = self.cost_alone * swum.clamp_min(0.0)
         work = (now["work"] - before["work"]).clamp_min(0.0)
         efficiency = useful / (useful + work).clamp_min(1e-12)
-        return torch.where(self.is_terminated(now), -10.0, efficiency)
+        has_failed = self.is_terminated(now)
+        return {
+            "efficiency": efficiency.masked_fill(has_failed, 0.0),
+            "failure": -10.0 * has_failed.double(),
+        }
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
         """Return whether the follower has left its range, or touches an edge or the leader."""
@@ -288,18 +306,6 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
             "way": self._measure_way(now),
             "contact": now["gap"] < self.contact,
         }
-
-    @property
-    def senses(self) -> tuple[str, ...]:
-        """Place, heading and what the fish feels of the water and of itself."""
-        return (
-            "place",
-            "heading",
-            "phases of both",
-            "velocity of the water",
-            "yaw rate",
-            "actions",
-        )
 
     def name_endings(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Tell whether the follower touched something or left its range."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from math import pi
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -23,7 +23,6 @@ from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 
-@final
 class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScene):
     """Hold station behind a half disc, or in a free stream, by choosing the tail-beat frequency.
 
@@ -222,11 +221,18 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
             "velocity": line.delay_series(before["sensed_velocity"], now["sensed_velocity"]),
         }
 
-    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Return the reward of the interval, see ``stations.StationReward``.
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> dict[str, Tensor]:
+        """Return r1 to r4 of the paper's Task 2, weighted by ``reward_terms``.
 
-        A fish that bends pays for pushing work: net work near 0 needs muscles that keep whatever
-        the water does on them.
+        A fish that bends pays for pushing work: net work near 0 needs muscles that store the work
+        which the water does on them.
+
+        Terms:
+            hold: +1, or −1 if the downstream drift Δx > ``drift_limit_bl``.
+            work: ``work_weight`` · (1 − W / ``work_reference``), with W the work of the muscles in
+                the interval [ρ L² (L/T)²]; of a fish that bends, their pushing work.
+            rim: −``rim_weight`` · d, with d the depth inside the rim of the safe area [L].
+            danger: −``danger_penalty`` on entering the danger area or at an edge, 0 otherwise.
         """
         paid = "positive_work" if self.control.bend_bl else "work"
         margin = self.safe_area.measure_margin(now["place"])

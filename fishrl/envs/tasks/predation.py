@@ -3,7 +3,7 @@
 from dataclasses import replace
 from functools import cached_property
 from math import ceil, degrees, floor, pi, radians
-from typing import Annotated, ClassVar, Literal, final
+from typing import Annotated, ClassVar, Literal
 
 import torch
 from pydantic import Field, NonNegativeFloat, PositiveFloat
@@ -13,9 +13,9 @@ from torch import Tensor
 from fishrl.envs.extensions import HasScene
 from fishrl.envs.macro_actions import BendControl, Rising
 from fishrl.envs.scene import Marks, Panel, Scene, Series
-from fishrl.envs.senses import measure_own_motion
-from fishrl.envs.sensors import compute_clearance, sense_target
-from fishrl.envs.task import Command
+from fishrl.envs.senses import OWN_SENSES, measure_own_motion
+from fishrl.envs.sensors import TARGET, compute_clearance, sense_target
+from fishrl.envs.task import Command, Sense
 from fishrl.envs.tasks.food import AbstractFoodTask
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending
@@ -195,12 +195,17 @@ class AbstractPredation(AbstractFoodTask, HasScene):
             return Command(turn.deg2rad(), frequency / self.scales.period)
         return Command(turn=radians(self.turn_degrees) * (action.double() - 1.0))
 
-    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Return +1 or -1 for approach, plus ``capture_reward``; ``[B]``, or ``[B, M]`` of M fish.
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> dict[str, Tensor]:
+        """Return approach and capture, ``[B]``, or ``[B, M]`` of M fish.
 
-        Approach is a smaller distance or bearing error: either suffices, as in the paper ("bearing
-        or distance shrinks"). If actions are continuous, or bends, it counts for each beat: if each
-        decision counted alike, the slowest approach would be rewarded most.
+        If actions are continuous, or bends, approach counts for each beat: if each decision counted
+        alike, the slowest approach would be rewarded most.
+
+        Terms:
+            approach: +1 if the distance d or the bearing error |β| of the food has shrunk (the
+                paper: "bearing or distance shrinks"), −1 otherwise; times the number of tail beats
+                if actions are continuous, or bends.
+            capture: ``capture_reward`` if d ≤ ``capture_radius_bl``, 0 otherwise.
         """
         (old_distance, old_error), (distance, error) = (
             td["target"][..., 2:].unbind(-1)  # distance and bearing error
@@ -210,7 +215,7 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         approach = torch.where(comes_nearer, 1.0, -1.0)
         if self.is_continuous or self.bends:
             approach = approach * (now["beats"] - before["beats"])
-        return approach + self.capture_reward * self.has_caught(now)
+        return {"approach": approach, "capture": self.capture_reward * self.has_caught(now)}
 
     def has_caught(self, now: TensorDictBase) -> Tensor:
         """Return whether the food is within reach, ``[B]``, or ``[B, M]`` of M fish."""
@@ -254,9 +259,10 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         return {"food": food, "distance": distance}
 
     @property
-    def senses(self) -> tuple[str, ...]:
-        """The food, as seen from the nose, and the motion of a fish that bends."""
-        return ("own motion",) * self.bends + ("place of the food",)
+    def senses(self) -> tuple[Sense, ...]:
+        """The motion of a fish that bends, and the food as seen from the nose."""
+        food = Sense("place of the food", TARGET, lambda now: now["target"])
+        return (*[OWN_SENSES["own_motion"]] * self.bends, food)
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -289,7 +295,6 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         )
 
 
-@final
 class Predation(AbstractPredation):
     """Catch food that rests at first and then moves up and down between two limits.
 
@@ -301,11 +306,6 @@ class Predation(AbstractPredation):
 
     The paper (Task 1) gives neither the food's x and limits nor the capture radius.
     """
-
-    @property
-    def n_obs(self) -> int:
-        """Length of one observation."""
-        return 4 + 5 * self.bends
 
     def starts_from(self, uniform: Tensor) -> TensorDict:
         """Draw nose positions (on nodes, facing -x) and the food's first direction."""
@@ -327,10 +327,6 @@ class Predation(AbstractPredation):
             "clearance": compute_clearance(markers, solver.config),
         }
         return TensorDict(now, starts.batch_size, device=starts.device)
-
-    def observe(self, now: TensorDictBase) -> Tensor:
-        """Return own motion, if the fish bends, and the food, see ``sensors.sense_target``."""
-        return torch.cat((now["own_motion"], now["target"]), -1).float()
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``captured`` ``[B]``, and ``food_ahead``, the path of the food."""

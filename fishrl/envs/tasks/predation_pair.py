@@ -1,20 +1,20 @@
 """Predation by two fish that pursue the same food."""
 
-from typing import Annotated, ClassVar, final
+from typing import Annotated, ClassVar
 
 import torch
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.sensors import compute_clearance, compute_gap, sense_target
+from fishrl.envs.sensors import TARGET, compute_clearance, compute_gap, sense_target
 from fishrl.envs.starts import place_outline
+from fishrl.envs.task import Sense
 from fishrl.envs.tasks.predation import AbstractPredation
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.placement import MIN_GAP
 
 
-@final
 class PredationPair(AbstractPredation):
     """Catch the same food as another fish, and keep clear of that fish.
 
@@ -65,9 +65,10 @@ class PredationPair(AbstractPredation):
             )
 
     @property
-    def n_obs(self) -> int:
-        """Length of one observation."""
-        return 8 + 5 * self.bends
+    def senses(self) -> tuple[Sense, ...]:
+        """The nose of the other fish, and what the fish of ``Predation`` observes."""
+        other = Sense("place of the other fish", TARGET, lambda now: now["other"])
+        return other, *super().senses
 
     @property
     def lanes(self) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -112,13 +113,14 @@ class PredationPair(AbstractPredation):
         }
         return TensorDict(now, starts.batch_size, device=starts.device)
 
-    def observe(self, now: TensorDictBase) -> Tensor:
-        """Return the other fish, own motion if it bends, and the food."""
-        return torch.cat((now["other"], now["own_motion"], now["target"]), -1).float()
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> dict[str, Tensor]:
+        """Add the penalty for contact, which both fish pay.
 
-    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Subtract the penalty for contact."""
-        return super().reward(before, now) - self.contact_penalty * self._has_contact(now)[:, None]
+        Terms:
+            contact: −``contact_penalty`` if the gap is less than ``contact_bl``, 0 otherwise.
+        """
+        penalty = -self.contact_penalty * self._has_contact(now)[:, None].expand(-1, self.num_fish)
+        return super().reward(before, now) | {"contact": penalty}
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
         """Return whether the food is caught, a wall is hit, or the fish touch."""

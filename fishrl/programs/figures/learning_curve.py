@@ -27,6 +27,7 @@ PANELS = {
     "entropy / log(legal actions)": ("train/entropy_fraction",),
     "temperature α": ("train/alpha",),
 }
+_TERM = "eval/reward/"
 LABELS = ("training", "evaluation")
 DASHES = ("-", "--", ":", "-.")
 _SMOOTH_ABOVE = 40
@@ -63,7 +64,7 @@ def write_learning_curve(
     *,
     baselines: Mapping[str, float] | None = None,
 ) -> None:
-    """Draw return, success rate, losses, entropy and temperature of a run against env frames."""
+    """Draw return, its terms, success rate, losses, entropy, temperature against env frames."""
     series = read_metrics(metrics)
     if "train/entropy_fraction" in series:  # which says more
         series.pop("train/entropy", None)
@@ -74,6 +75,11 @@ def write_learning_curve(
             if column in series
         ]
         for title, columns in PANELS.items()
+    }
+    curves |= {  # in evaluations alone
+        f"{name.removeprefix(_TERM)}, of the return": [Curve(LABELS[1], *series[name], number=1)]
+        for name in series
+        if name.startswith(_TERM)
     }
     if not draw_curves(path, curves, baselines=baselines):
         wanted = [column for columns in PANELS.values() for column in columns]
