@@ -162,7 +162,7 @@ def count_decisions(task: AbstractTask, periods: float | None) -> int:
 
 def name_terms(env: EnvBase) -> list[str]:
     """Return the entries with the terms of the reward, ``reward/<term>``, per fish as it is."""
-    keys = env.base_env.observation_spec.keys(True, True)
+    keys = env.observation_spec.keys(True, True)
     leaves = (key if isinstance(key, str) else key[-1] for key in keys)
     return [name for name in leaves if name.startswith(TERM)]
 

@@ -5,7 +5,7 @@ import logging
 
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import step_mdp
 
 from fishrl.envs import FlowEnv, Predation, make_env
@@ -157,6 +157,23 @@ def test_frames_are_evenly_spaced_and_change_nothing(small_task: Predation) -> N
     plain.reset()
     assert (act(env, 0, 1) == act(plain, 0, 1)).all()
     assert ages == [[26.0, 26.0], [52.0, 52.0], [80.0, 80.0], [106.0, 106.0]]
+
+
+class Lazy(Predation):
+    """A reward of one's own."""
+
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> dict[str, torch.Tensor]:
+        return super().reward(before, now) | {"effort": -0.5 * (now["beats"] - before["beats"])}
+
+
+def test_reward_is_the_sum_of_its_reported_terms() -> None:
+    env = make_flows(Lazy(**SMALL), 2, starts=starts_at((3.0, 2.5), (5.0, 2.5)))
+    assert not env.reset()["reward/capture"].any()
+    after = act(env, 1, 1)
+    terms = [after[f"reward/{name}"] for name in ("approach", "capture", "effort")]
+    assert [term[1].item() for term in terms] == pytest.approx([1.0, 0.0, -0.5])
+    assert terms[1][0] == 20.0
+    torch.testing.assert_close(after["reward"], terms[0] + terms[1] + terms[2])
 
 
 def test_environment_does_not_move_to_another_device(small_task: Predation) -> None:

@@ -42,14 +42,18 @@ def test_reward_is_the_efficiency_or_minus_10_on_failure() -> None:
     before = make_now()
     age = task.scales.period / 2
     alone = task.cost_alone * task.stream_speed_bl / 2  # work for the way within T / 2
-    assert task.reward(before, make_now(age=age, work=alone)).item() == pytest.approx(0.5)
-    assert task.reward(before, make_now(age=age, work=alone / 3)).item() == pytest.approx(0.75)
-    assert task.reward(before, make_now(age=age, work=-1.0)).item() == 1.0
-    carried = make_now(age=age, work=alone, place=[1.5 + task.stream_speed_bl / 2, 0.0])
-    assert task.reward(before, carried).item() == pytest.approx(0.0)
+
+    def earn(**values: object) -> list[float]:
+        return [term.item() for term in task.reward(before, make_now(age=age, **values)).values()]
+
+    assert earn(work=alone) == pytest.approx([0.5, 0.0])
+    assert earn(work=alone / 3) == pytest.approx([0.75, 0.0])
+    assert earn(work=-1.0) == [1.0, 0.0]
+    carried = [1.5 + task.stream_speed_bl / 2, 0.0]
+    assert earn(work=alone, place=carried) == pytest.approx([0.0, 0.0])
     for end in ({"gap": 1.0}, {"place": [3.1, 0.0]}, {"place": [1.0, -1.1]}, {"clearance": 1.0}):
         assert task.is_terminated(make_now(**end)).all()
-        assert task.reward(before, make_now(age=age, **end)).item() == -10.0
+        assert earn(**end) == [0.0, -10.0]
 
 
 @pytest.mark.usefixtures("kinematic")

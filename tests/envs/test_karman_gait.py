@@ -146,7 +146,8 @@ def test_default_observation_is_place_drift_water_and_tail_beat() -> None:
     own = [env.now[name][0] for name in ("place", "drift")]
     own += [env.now["velocity"][0].mean(0), env.now["frequency"][:1]]
     assert torch.equal(seen, torch.cat([part.float() for part in own]))
-    assert env.task.senses == ("place", "drift", "velocity at the lateral line", "tail beat")
+    names = [sense.name for sense in env.task.senses]
+    assert names == ["place", "drift", "velocity at the lateral line", "tail beat"]
 
 
 def test_lateral_line_is_observed_with_its_change_since_the_last_decision() -> None:
@@ -273,7 +274,8 @@ def test_depth_in_the_rim_costs_reward() -> None:
     area = SafeArea(near_bl=0.4, rim_bl=0.5)
     env, _ = begin(safe_area=area, reward_terms=StationReward(work_weight=0.0))
     now = env.now.clone().set("place", torch.tensor([[0.7, 0.0]]).double())
-    assert env.task.reward(env.now, now).item() == pytest.approx(1.0 - 10.0 * 0.2)
+    terms = {name: term.item() for name, term in env.task.reward(env.now, now).items()}
+    assert terms == pytest.approx({"hold": 1.0, "work": 0.0, "rim": -10.0 * 0.2, "danger": 0.0})
 
 
 def test_free_stream_has_neither_disc_nor_wake() -> None:

@@ -53,5 +53,5 @@ def test_approach_reward_needs_a_smaller_distance_or_bearing_error() -> None:
         TensorDict({"target": torch.stack((*[distance] * 3, angle), -1)}, [5])
         for distance, angle in ((before, old_error), (after, error))
     )
-    reward = Predation().reward(*seen)
-    assert reward.tolist() == [1.0, 1.0, -1.0, -1.0, 1.0]
+    approach = Predation().reward(*seen)["approach"]
+    assert approach.tolist() == [1.0, 1.0, -1.0, -1.0, 1.0]

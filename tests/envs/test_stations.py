@@ -12,13 +12,16 @@ def test_margin_is_the_distance_from_the_danger_area() -> None:
     torch.testing.assert_close(area.measure_margin(places), margins)
 
 
-def test_reward_terms_add_up_as_in_the_paper() -> None:
+def test_terms_of_the_reward_add_up_as_in_the_paper() -> None:
     """One row for each term, and one that drifts no more than it may."""
     drift = torch.tensor([0.0, 0.05, 0.06, 0.0, 0.0, 0.0, 0.0])
     work = torch.tensor([0.0, 0.0, 0.0, 2.0, 3.0, 0.0, 0.0])
     depth = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0])
     ends = torch.tensor([False] * 6 + [True])
     terms = StationReward(work_reference=2.0)
-    reward = terms.compute(drift=drift, work=work, depth=depth, is_in_danger=ends)
+    reward = sum(
+        terms.compute(drift=drift, work=work, depth=depth, is_in_danger=ends).values(),
+        start=torch.zeros(7),
+    )
     expected = [1.1, 1.1, -0.9, 1.0, 0.95, 1.1 - 1.0, 1.1 - 5.0]
     torch.testing.assert_close(reward, torch.tensor(expected).to(reward))

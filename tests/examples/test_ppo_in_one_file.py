@@ -22,8 +22,8 @@ BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.25, "checks_per_action
 class Eager(MaskedTask):
     """Beat fast: the reward is the tail beat, and the fastest is masked once it is reached."""
 
-    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        return now["frequency"] * self.scales.period
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> dict[str, Tensor]:
+        return {"beats": now["frequency"] * self.scales.period}
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
         return torch.zeros_like(now["x"], dtype=torch.bool)

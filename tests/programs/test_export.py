@@ -86,7 +86,7 @@ def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.Monkey
          "task.time_limit=4"]
     )  # fmt: skip
     export_data.record(settings)
-    with pytest.raises(ValueError, match="exists: take the next version"):
+    with pytest.raises(ValueError, match="exists: increase the version"):
         export_data.record(settings)
     data = minari.load_dataset("fishrl/pursuit-v0")
     episodes = list(data.iterate_episodes())

@@ -93,7 +93,8 @@ def record(num_envs: int, *, device: str = "cpu") -> tuple[Predation, list[Recor
 def test_episodes_are_recorded_from_start_to_capture(num_envs: int) -> None:
     task, (caught, missed), episodes = record(num_envs)
     assert episodes.succeeded.tolist() == [True, False]
-    assert caught.frames[-1].values["reward"] == 21.0
+    last = caught.frames[-1].values
+    assert (last["reward"], last["reward/approach"], last["reward/capture"]) == (21.0, 1.0, 20.0)
     assert caught.ending == Ending(words="caught", is_success=True)
     assert missed.ending == Ending(words="time is over", is_success=False)
     assert all(frame.ending is None for frame in caught.frames[:-1])
