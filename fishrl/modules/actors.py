@@ -86,14 +86,9 @@ def make_twin_critics(
     illegal actions, to which the policy gives probability 0. The result is a list because TorchRL's
     loss resamples the weights of a single critic that it duplicates.
     """
-    return [
-        TensorDictModule(
-            make_mlp([num_inputs, *hidden, num_actions], generator=generator),
-            in_keys=["observation_stack"],
-            out_keys=["action_value"],
-        )
-        for _ in range(2)
-    ]
+    widths, keys = [num_inputs, *hidden, num_actions], ["observation_stack"]
+    networks = (make_mlp(widths, generator=generator) for _ in range(2))
+    return [TensorDictModule(net, in_keys=keys, out_keys=["action_value"]) for net in networks]
 
 
 def make_continuous_actor(
@@ -148,14 +143,11 @@ def make_twin_action_critics(
     Layer normalisation bounds the values of actions outside the data, which otherwise diverge with
     several gradient steps per transition (Ball et al. 2023, arXiv 2302.02948).
     """
-    widths = [num_inputs + num_actions, *hidden, 1]
+    widths, keys = [num_inputs + num_actions, *hidden, 1], ["observation_stack", "action"]
+    networks = (make_mlp(widths, is_normed=True, generator=generator) for _ in range(2))
     return [
-        TensorDictModule(
-            _JoinedInputs(make_mlp(widths, is_normed=True, generator=generator)),
-            in_keys=["observation_stack", "action"],
-            out_keys=["state_action_value"],
-        )
-        for _ in range(2)
+        TensorDictModule(_JoinedInputs(net), in_keys=keys, out_keys=["state_action_value"])
+        for net in networks
     ]
 
 

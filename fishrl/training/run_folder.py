@@ -175,7 +175,9 @@ def read_summary(path: Path) -> dict[str, Any]:
 
 def write_json(path: Path, values: Mapping[str, Any] | Sequence[Any]) -> None:
     """Write nested numbers and words; NaN and infinities, which JSON lacks, become null."""
-    write_whole(path, json.dumps(_as_json(values), indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+    write_whole(
+        path, json.dumps(_as_json(values), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    )
 
 
 def _as_json(value: Any) -> Any:

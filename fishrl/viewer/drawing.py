@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from fishrl.envs.scene import Area, Arrow, Choice, Curve, Field, Frame, Marks, Panel, Scene, Trail
+from fishrl.envs.scene import Arrow, Choice, Curve, Field, Frame, Marks, Panel, Scene, Trail
 from fishrl.viewer.colours import (
     LINES,
     PURPLE_GREEN,
@@ -228,7 +228,9 @@ class Drawing:
         rr, scene = self._rerun, self.scene
         self._draw_axes(f"{root}/world/axes")
         for area in scene.areas:
-            shape = self._make_lines(self._hatch(area), area.colour, _THIN, 1.5)
+            (x0, y0), (x1, y1) = area.low, area.high
+            border = torch.tensor([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
+            shape = self._make_lines([self._place(border)], area.colour, 0.5, 1.5)
             self._log(f"{root}/world/{area.key}", shape, static=True)
         for panel in scene.panels:
             path = make_plot_path(root, panel)
@@ -259,25 +261,13 @@ class Drawing:
         name = ", ".join(filter(None, (field.name, field.note)))
         about = (
             f"**{scene.title}**\n\n{title}\n\n"
-            f"One second of `{TIMELINE}` is one period T. Body length "
-            f"L = {scene.body_length:g} nodes; the mouse shows nodes.\n\n"
+            f"One second of `{TIMELINE}` is one period T. Body length L = {scene.body_length:g} "
+            f"nodes; coordinates are in nodes.\n\n"
             f"{name}; colours from {field.low:g} to {field.limit:g} {field.unit}. {levels}\n\n"
             f"{scene.note}"
         )
         document = rr.TextDocument(about, media_type="text/markdown")
         self._log(f"{root}/about", document, static=True)
-
-    def _hatch(self, area: Area) -> list[Points]:
-        """Return the border of a rectangle with short strokes outside it."""
-        (x0, y0), (x1, y1) = area.low, area.high
-        length = self.scene.body_length
-        step, stroke = 0.125 * length, 0.06 * length
-        corners = torch.tensor([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
-        xs, ys = np.arange(x0, x1, step).tolist(), np.arange(y0, y1, step).tolist()
-        strokes = [(x, y, -sign * stroke) for x in xs for y, sign in ((y0, -1.0), (y1, 1.0))]
-        strokes += [(x, y, sign * stroke) for y in ys for x, sign in ((x0, -1.0), (x1, 1.0))]
-        lines = [torch.tensor([(x, y), (x + dx, y - dx)]) for x, y, dx in strokes]
-        return [self._place(line) for line in (corners, *lines)]
 
     def _draw_axes(self, path: str) -> None:
         """Draw the frame of the picture, and ticks in body lengths outside it."""

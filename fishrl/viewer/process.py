@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from typing import Any
+from urllib.parse import quote
 
 from fishrl.children import make_environment, start_child
 
@@ -96,8 +97,7 @@ class Server(Viewer):
         web_port = find_port(port + 1)
         options = ("--serve-web", "--web-viewer-port", str(web_port))
         super().__init__(*options, "--server-memory-limit", "512MB", port=port)
-        escaped = self.url.replace("+", "%2B").replace(":", "%3A").replace("/", "%2F")
-        self.page = f"http://{HOST}:{web_port}?url={escaped}"
+        self.page = f"http://{HOST}:{web_port}?url={quote(self.url, safe='')}"
         if has_screen() if opens_window is None else opens_window:
             open_window("--bind", HOST, "--port", "auto", "--connect", self.url)
         words = "live on this machine: a window by `python -m rerun --connect %s`, a browser by %s"
