@@ -20,20 +20,18 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
-from fishrl.envs import KarmanGait, make_env
+from fishrl.envs import KarmanGait, Oracle, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.senses import SenseName
-from fishrl.envs.transforms import ORACLE
 from fishrl.modules.actors import ILLEGAL_LOGIT
 from fishrl.pages import write_csv
 from fishrl.programs.statistics import find_share
-from fishrl.training import evaluate
+from fishrl.training import evaluate, load_plan, load_policy
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.evaluation import TRAIN_SEED
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import write_json
-from fishrl.zoo import load_policy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +101,7 @@ class Lesson:
         streams: tuple[float, ...] = (),
     ) -> None:
         self.budget = budget
-        teacher, task = load_policy(name)
+        teacher, task = load_policy(f"zoo/{name}"), load_plan(f"zoo/{name}").task
         if not isinstance(task, KarmanGait) or task.num_label_inputs or task.action_bounds:
             raise ValueError(
                 f"teacher = {name}: give one for the Kármán gait with discrete actions and no flow "
@@ -113,7 +111,7 @@ class Lesson:
             stream = replace(task.stream, speeds_bl=streams)
             task = replace(task, stream=stream, start_flows=tuple(range(len(streams))))
         self.teacher, self._of_teacher = teacher.module[0].module, (task.num_stacked, task.n_obs)
-        self.recognition = ORACLE if "flow_label" in senses else None
+        self.recognition = Oracle() if "flow_label" in senses else None
         self.task = replace(task, observes=senses, num_stacked=budget.num_stacked)
         self.both = replace(
             task,

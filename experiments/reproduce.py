@@ -29,15 +29,16 @@ from fishrl.programs.sweeps.runs import read_run
 from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import Settings
 from fishrl.training.plain_files import Stored, read_plain
+from fishrl.training.recognition import FILE
 from fishrl.training.run_folder import write_json
 
 #: Settings of the trainings of each arm, besides those of the scale. Without rows of frequencies a
 #: flow label is of use only to a policy that observes it.
 ARM_SETTINGS = {
-    "both": ("recognition={classifier}",),
+    "both": ("{recognition}",),
     "macro_actions": (),
     "lateral_line": (
-        *("task=karman_gait_direct", "recognition={classifier}"),
+        *("task=karman_gait_direct", "{recognition}"),
         "task.observes=[place,drift,water_velocity,tail_beat,flow_label]",
     ),
     "ablation": ("task=karman_gait_direct",),
@@ -122,10 +123,11 @@ def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
         ),
     )
     fitted = find_fitted(folder)
-    classifier = quote(f"{fitted}/machine.pt") if fitted else "oracle"  # settings are read before
+    path = fitted and quote(f"{fitted}/{FILE}")  # settings are read before
+    recognition = f"recognition.path={path}" if path else "recognition=oracle"
     trained: list[Path] = []
     for arm, settings in ARM_SETTINGS.items():
-        words = tuple(word.format(classifier=classifier) for word in settings)
+        words = tuple(word.format(recognition=recognition) for word in settings)
         job = plan_training(arm, [*scale.gait, *words], scale, folder)
         yield job
         trained += find_runs(job.words[2:]) if (folder / arm).is_dir() else []

@@ -16,7 +16,7 @@ from experiments.gait import figures, trials
 from experiments.gait.diagnostics import combine_seeds, diagnose, trace_work
 from experiments.gait.free_stream import hold_in_free_stream
 from experiments.gait.tables import write_free_stream, write_results
-from fishrl.envs import KarmanGait
+from fishrl.envs import KarmanGait, Recognition
 from fishrl.files import write_whole
 from fishrl.programs.program import TaskSettings, program
 from fishrl.training.callback import SILENT, Callback
@@ -33,8 +33,7 @@ class TransferSettings(TaskSettings):
         episodes: episodes in each flow.
         periods: duration of a trial in T.
         baselines: policies to compare with; see ``trials.make_trial``.
-        recognition: source of the labels of all runs instead of their own: ``oracle``, the file of
-            a classifier or ``zoo/<name>``.
+        recognition: source of the labels of all runs instead of their own.
         free_episodes: episodes in each stream without the half disc, held by a PID controller,
             whose work is compared with that of the first policy; 0 for none.
         folder: folder for tables, figures and histories.
@@ -46,7 +45,7 @@ class TransferSettings(TaskSettings):
     episodes: PositiveInt = 100
     periods: PositiveFloat = trials.PERIODS
     baselines: tuple[str, ...] = ("pid", "pid+policy", "bang_bang", "shedding")
-    recognition: str | None = None
+    recognition: Recognition | None = None
     free_episodes: NonNegativeInt = 0
     folder: str = "runs/transfer"
     device: str = "cpu"

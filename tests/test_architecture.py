@@ -30,7 +30,8 @@ PROGRAMS = TENSORS | {
 }
 TASK_SIDE = {"fishrl.physics", "fishrl.envs"}
 TORCHRL_FILES = tuple(
-    f"fishrl/envs/{name}.py" for name in ("flow_env", "making", "episodes", "specs", "transforms")
+    f"fishrl/envs/{name}.py"
+    for name in ("flow_env", "making", "episodes", "recognition", "specs", "transforms")
 )
 DRAWING = {"rerun", "matplotlib", "PIL", "imageio_ffmpeg", "xarray", "pyvista"}
 # The first matching prefix applies to a file; "a.b" allows "a.b" and "a.b.c".
@@ -88,7 +89,10 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
         TENSORS | {"torchrl", "fishrl.viewer", "fishrl.figure_style"} | DRAWING | TASK_SIDE,
     ),
 )
-TORCHRL_SIDE = {f"fishrl.envs.{name}" for name in ("flow_env", "making", "transforms", "episodes")}
+TORCHRL_SIDE = {
+    f"fishrl.envs.{name}"
+    for name in ("flow_env", "making", "recognition", "transforms", "episodes")
+}
 ON_USE = {"rerun", "wandb"}
 #: Imports of own modules inside functions, for optional packages.
 MAX_LATE_IMPORTS = 5

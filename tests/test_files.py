@@ -31,10 +31,10 @@ Maker = Callable[[Path, pytest.MonkeyPatch], Callable[[], Any]]
 
 
 def make_classifier(folder: Path, _: pytest.MonkeyPatch) -> Callable[[], Any]:
-    LateralLineClassifier(flows=FLOWS, sensors=SENSORS, hidden=(4,)).save(folder / "machine.pt")
+    LateralLineClassifier(flows=FLOWS, sensors=SENSORS, hidden=(4,)).save(folder / "classifier.pt")
 
     def read() -> Any:
-        classifier = LateralLineClassifier.load(folder / "machine.pt")
+        classifier = LateralLineClassifier.load(folder / "classifier.pt")
         classifier.check(flows=classifier.flows, sensors=classifier.sensors)
         shape = (classifier.num_intervals * 16, 5, len(classifier.sensors["features"]))
         assert classifier(torch.zeros(2, *shape)).isfinite().all()

@@ -11,20 +11,19 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs import KarmanGait, make_env
+from fishrl.envs import KarmanGait, Oracle, Recognition, make_env
 from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.macro_actions import ContinuousFrequency, DirectFrequencies
 from fishrl.envs.sensors import wrap_angle
 from fishrl.envs.steering import PolicySteering
-from fishrl.envs.transforms import ORACLE, equip, make_labelling
 from fishrl.files import load_tensors, staged
-from fishrl.modules import LateralLineClassifier
 from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import SILENT, Callback
-from fishrl.training.classifier import find_classifier, load_recognition
-from fishrl.training.policies import load_plan, load_policy
+from fishrl.training.checkpoint import read_metadata
+from fishrl.training.plan import Plan
+from fishrl.training.policies import load_policy
 
 #: Duration of a trial in T, regardless of the length of training episodes.
 PERIODS = 100.0
@@ -87,7 +86,7 @@ class Trial:
     task: KarmanGait  #: with all flows and the duration of the trial, see ``prolong``
     make_policy: Callable[[], Any]
     identity: str  #: what determines its behaviour besides the task
-    recognition: LateralLineClassifier | str | None = None  #: gives it flow labels
+    recognition: Recognition | None = None  #: gives it flow labels
 
 
 def check_comparable(tried: Sequence[Trial]) -> None:
@@ -118,35 +117,37 @@ def prolong(task: KarmanGait, periods: float) -> KarmanGait:
     )
 
 
-def load_trial(run: Path, *, periods: float = PERIODS, recognition: str | None = None) -> Trial:
+def load_trial(
+    run: Path, *, periods: float = PERIODS, recognition: Recognition | None = None
+) -> Trial:
     """Return the trial of the learned policy of a run folder, with its classifier or another."""
-    path, plan = load_plan(run)
-    choice = find_classifier(recognition or plan.recognition, path)
-    source = load_recognition(choice)
-    task = equip(plan.task, source)
+    path, metadata = read_metadata(run)
+    plan = Plan.from_config(metadata["config"])
+    source, task = recognition or plan.recognition, plan.task
+    if source is not None:
+        task = source.check(task)
     if not isinstance(task, KarmanGait):
         raise ValueError(f"{run}: a policy of {type(task).__name__}; give runs of task=karman_gait")
-    files = sorted(path.rglob("*-actor/*"))
-    if isinstance(source, LateralLineClassifier):
-        files.append(Path(str(choice)).expanduser())
-    arm = name_arm(task, choice)
+    arm, files = name_arm(task, source), sorted(path.rglob("*-actor/*"))
     return Trial(
         name=f"{arm} {run.name}".replace(" ", "-"),
         arm=arm,
         task=prolong(task, periods),
         recognition=source,
         make_policy=partial(load_policy, path, task=task, has_labels=source is not None),
-        identity=make_key(*(file.read_bytes() for file in files)),
+        identity=make_key(*(file.read_bytes() for file in files), source and source.identity),
     )
 
 
-def name_arm(task: KarmanGait, recognition: Any) -> str:
+def name_arm(task: KarmanGait, recognition: Recognition | None) -> str:
     """Name the kind of a learned policy."""
     if isinstance(task.control, ContinuousFrequency):
         return "continuous frequency"
     if isinstance(task.control, DirectFrequencies):
         return "lateral line alone" if recognition and task.num_label_inputs else "ablation"
-    return {None: "macro-actions alone", ORACLE: "oracle"}.get(recognition, "both modules")
+    if recognition is None:
+        return "macro-actions alone"
+    return "oracle" if recognition == Oracle() else "both modules"
 
 
 def make_trial(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Trial:
@@ -228,7 +229,7 @@ def record(
         num_envs=len(starts),
         device=device,
         frames_per_action=FRAMES,
-        transforms=make_labelling(task, trial.recognition),
+        recognition=trial.recognition,
     )
     base = env.base_env
     progress.on_phase(trial.name, total=task.time_limit)

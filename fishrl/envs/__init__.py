@@ -9,9 +9,10 @@ from fishrl.envs.extensions import (
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.making import make_env
 from fishrl.envs.one_hot import OneHotAction
+from fishrl.envs.recognition import Oracle, Recognition
 from fishrl.envs.task import AbstractTask, Command
 from fishrl.envs.tasks import Follower, KarmanGait, Predation, PredationPair
-from fishrl.envs.transforms import PredictedFlowLabel, TrueFlowLabel, make_recognition
+from fishrl.envs.transforms import PredictedFlowLabel, TrueFlowLabel
 
 __all__ = [
     "AbstractTask",
@@ -23,11 +24,12 @@ __all__ = [
     "HasScene",
     "KarmanGait",
     "OneHotAction",
+    "Oracle",
     "Predation",
     "PredationPair",
     "PredictedFlowLabel",
+    "Recognition",
     "TrueFlowLabel",
     "make_env",
-    "make_recognition",
     "run_episodes",
 ]

@@ -5,7 +5,6 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torch import nn
 from torchrl.envs import (
     ActionMask,
     CatFrames,
@@ -18,8 +17,8 @@ from torchrl.envs import (
 
 from fishrl.envs.agents import name_entry
 from fishrl.envs.flow_env import FlowEnv
+from fishrl.envs.recognition import Recognition
 from fishrl.envs.task import AbstractTask
-from fishrl.envs.transforms import equip, make_labelling
 from fishrl.torch_state import in_own_state
 
 
@@ -46,7 +45,7 @@ def make_env(
     starts: TensorDictBase | None = None,
     frames_per_action: int = 1,
     on_frame: Callable[[FlowEnv], None] | None = None,
-    recognition: nn.Module | str | None = None,
+    recognition: Recognition | None = None,
     transforms: Sequence[Transform] = (),
 ) -> TransformedEnv:
     """Return a ``FlowEnv`` with the transforms that policies need; see ``FlowEnv`` for arguments.
@@ -57,15 +56,16 @@ def make_env(
     continuous actions have none. With several fish per flow, stacks, masks and ``episode_reward``
     are per fish, under ``agents``.
 
-    ``recognition`` is the source of flow labels, see ``transforms.equip``. Further ``transforms``
-    are inserted before the frame stack and may lengthen ``observation``.
+    ``recognition`` is the source of flow labels, such as ``Oracle()``. Further ``transforms`` are
+    inserted before the frame stack and may lengthen ``observation``.
 
     Raises:
         ValueError: for invalid arguments.
     """
     if not isinstance(task, AbstractTask):
         raise ValueError(f"task = {task!r}: must be an instance of a task, such as Predation()")
-    task = equip(task, recognition)
+    if recognition is not None:
+        task = recognition.check(task)
     observed, stacked, action, mask = (
         name_entry(task, name)
         for name in ("observation", "observation_stack", "action", "action_mask")
@@ -86,7 +86,7 @@ def make_env(
         InitTracker(),
         StepCounter(max_steps=task.time_limit),
         RewardSum(),
-        *make_labelling(task, recognition),
+        *(recognition.transforms(task) if recognition is not None else ()),
         *transforms,
         CatFrames(N=task.num_stacked, dim=-1, in_keys=[observed], out_keys=[stacked]),
         *([ActionMask(action, mask)] if task.action_bounds is None else []),

@@ -8,15 +8,7 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torch.nn.functional import one_hot
 from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
-from torchrl.envs import CatFrames, EnvBase, Transform
-
-from fishrl.envs.extensions import HasFlowLabels, find_extension
-from fishrl.envs.task import AbstractTask
-
-#: Gives the policy the true label of its flow; see ``equip``.
-ORACLE = "oracle"
-LATERAL_LINE = "lateral_line"
-HISTORY = "lateral_line_history"
+from torchrl.envs import EnvBase, Transform
 
 
 class FlowLabelTransform(Transform):
@@ -53,21 +45,6 @@ class FlowLabelTransform(Transform):
     def choose_label(self, probabilities: Tensor) -> Tensor:
         """Return the label ``[B]`` that selects the row of frequencies: the most probable one."""
         return probabilities.argmax(-1)
-
-    def set_container(self, container: Transform | EnvBase) -> None:
-        """Attach to an environment, and check its task by ``check_task``."""
-        super().set_container(container)
-        if self.container is not None:
-            self.check_task(getattr(self.container.base_env, "task", None))
-
-    def check_task(self, task: Any) -> None:
-        """Raise ValueError unless the task has ``num_flows`` labelled flows."""
-        flows = find_extension(task, HasFlowLabels).flow_labels
-        if len(flows) != self.num_flows:
-            raise ValueError(
-                f"{type(task).__name__} has {len(flows)} labelled flows, expected "
-                f"{self.num_flows}: use a task with that many `flow_labels`"
-            )
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         return self._write(next_tensordict, begins=None)
@@ -116,8 +93,9 @@ class PredictedFlowLabel(FlowLabelTransform):
     belief (Raftery, Karny & Ettler 2010). See ``FlowLabelTransform`` for the entries.
 
     Args:
-        machine: a ``fishrl.modules.LateralLineClassifier``, or a network with its ``num_flows`` and
-            ``check``. Its weights are frozen.
+        classifier: a ``fishrl.modules.LateralLineClassifier``, say, which maps the signal to logits
+            ``[B, n]``. Its weights are frozen.
+        num_flows: number of flows n.
         memory: in [0, 1]; 0 uses the current signal only, as the paper does.
         switching_rate: s in [0, 1], probability that the flow is redrawn before a decision.
         interpolates: write the mean of the labels as ``flow_class``, float32, instead of the most
@@ -132,19 +110,16 @@ class PredictedFlowLabel(FlowLabelTransform):
     def __init__(
         self,
         *,
-        machine: nn.Module,
+        classifier: nn.Module,
+        num_flows: int,
         memory: float = 0.7,
         switching_rate: float = 0.0,
         interpolates: bool = False,
-        in_key: str = LATERAL_LINE,
+        in_key: str = "lateral_line",
         is_observed: bool = True,
     ) -> None:
-        for name, share in (("memory", memory), ("switching_rate", switching_rate)):
-            if not 0.0 <= share <= 1.0:
-                raise ValueError(f"{name} = {share}: must lie in [0, 1]")
-        num_flows: int = machine.num_flows  # type: ignore[assignment]
         super().__init__(num_flows=num_flows, in_key=in_key, is_observed=is_observed)
-        self.machine = machine.eval().requires_grad_(False)
+        self.classifier = classifier.eval().requires_grad_(False)
         self.memory, self.switching_rate = memory, switching_rate
         self.interpolates = interpolates
         self.register_buffer("evidence", torch.zeros(0, self.num_flows))
@@ -155,20 +130,9 @@ class PredictedFlowLabel(FlowLabelTransform):
         if (env := self.container) is not None:
             self.evidence = torch.zeros(*env.batch_size, self.num_flows, device=env.device)
 
-    def check_task(self, task: Any) -> None:
-        """Raise ValueError unless the classifier was trained for flows and sensors of the task."""
-        if not (isinstance(task, HasFlowLabels) and task.lateral_line_layout):
-            raise ValueError(
-                f"{type(task).__name__} has no lateral line: use a task with `flow_labels` and "
-                "`lateral_line_layout`, such as KarmanGait"
-            )
-        self.machine.check(  # type: ignore[operator]
-            flows=task.flow_labels, sensors=task.lateral_line_layout
-        )
-
     def compute_probabilities(self, now: TensorDictBase, *, begins: Tensor | None) -> Tensor:
         """Return the probabilities ``[B, n]`` given all signals of the episode so far."""
-        log_prob = self.machine(now[self.in_keys[0]]).float().log_softmax(-1)
+        log_prob = self.classifier(now[self.in_keys[0]]).float().log_softmax(-1)
         if begins is None:
             belief = self.memory * self.evidence  # before this signal
             if rate := self.switching_rate:
@@ -213,71 +177,3 @@ class TrueFlowLabel(FlowLabelTransform):
         """Return the one-hot true flow ``[B, n]``."""
         index = now["flow_index"].reshape(now.batch_size)
         return one_hot(index, self.num_flows).float()
-
-
-def equip(task: AbstractTask, recognition: nn.Module | str | None) -> AbstractTask:
-    """Return the task that reads the flow labels which ``make_labelling`` writes.
-
-    Args:
-        task: the task.
-        recognition: None for no labels, ``oracle`` for the true ones, or a
-            ``fishrl.modules.LateralLineClassifier`` for those that it predicts.
-
-    Raises:
-        ValueError: if the task has no flows to tell apart or several fish, or the classifier was
-            trained for other flows or sensors.
-    """
-    if recognition is None:
-        return task
-    if not isinstance(task, HasFlowLabels) or task.num_fish > 1:
-        raise ValueError(
-            f"recognition: {type(task).__name__} has no flows to tell apart, or several fish; "
-            "leave it out, or take a task of one fish with `flow_labels`"
-        )
-    if isinstance(recognition, nn.Module):
-        check: Any = recognition.check
-        check(flows=task.flow_labels, sensors=task.lateral_line_layout)
-    elif recognition != ORACLE:
-        raise ValueError(f"recognition = {recognition!r}: give {ORACLE!r} or a classifier")
-    return task.read_flow_labels()
-
-
-def make_labelling(task: AbstractTask, recognition: nn.Module | str | None) -> list[Transform]:
-    """Return new transforms that write flow labels, to stand before the frame stack.
-
-    Arguments as for ``equip``.
-    """
-    if recognition is None or not isinstance(task, HasFlowLabels):
-        return []
-    is_observed = task.num_label_inputs > 0
-    if isinstance(recognition, nn.Module):
-        return make_recognition(recognition, is_observed=is_observed)
-    return [TrueFlowLabel(num_flows=len(task.flow_labels), is_observed=is_observed)]
-
-
-def make_recognition(
-    machine: nn.Module,
-    *,
-    memory: float = 0.7,
-    switching_rate: float = 0.0,
-    interpolates: bool = False,
-    is_observed: bool = True,
-) -> list[Transform]:
-    """Return the transforms that label flows by a classifier, see ``PredictedFlowLabel``.
-
-    A classifier that reads more than one control interval gets their stacked signals,
-    ``lateral_line_history``; at reset the first signal fills the stack.
-    """
-    num_intervals = int(machine.num_intervals)  # type: ignore[arg-type]
-    key = LATERAL_LINE if num_intervals == 1 else HISTORY
-    label = PredictedFlowLabel(
-        machine=machine,
-        memory=memory,
-        switching_rate=switching_rate,
-        interpolates=interpolates,
-        in_key=key,
-        is_observed=is_observed,
-    )
-    if num_intervals == 1:
-        return [label]
-    return [CatFrames(N=num_intervals, dim=-3, in_keys=[LATERAL_LINE], out_keys=[HISTORY]), label]

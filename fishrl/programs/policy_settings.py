@@ -6,13 +6,12 @@ from typing import Any
 from pydantic import NonNegativeInt
 from torchrl.envs import TransformedEnv
 
-from fishrl.envs import AbstractTask, make_env
+from fishrl.envs import AbstractTask, Recognition, make_env
 from fishrl.envs.episodes import Policy
 from fishrl.programs.configuration import Node
 from fishrl.programs.program import TaskSettings
 from fishrl.training.callback import Callback
 from fishrl.training.checkpoint import read_metadata
-from fishrl.training.classifier import Recognition, find_classifier
 from fishrl.training.policies import prepare
 from fishrl.training.policy_zoo import PREFIX, list_policies
 
@@ -34,7 +33,7 @@ class PolicySettings(TaskSettings):
 
     checkpoint: str | None = None
     policy: str | None = None
-    recognition: str | None = None
+    recognition: Recognition | None = None
     seed: NonNegativeInt = 0
     device: str = "cpu"
     compile: bool = True
@@ -70,7 +69,7 @@ class PolicySettings(TaskSettings):
         """The policy, as ``evaluate`` takes it."""
         return str(self.policy) if self.learned is None else Path(self.learned)
 
-    def make_policy(self) -> tuple[AbstractTask, Recognition, Policy]:
+    def make_policy(self) -> tuple[AbstractTask, Recognition | None, Policy]:
         """Return the task, the source of its flow labels and the policy; see ``prepare``."""
         return prepare(
             self.source,
@@ -81,7 +80,12 @@ class PolicySettings(TaskSettings):
         )
 
     def make_env(
-        self, task: AbstractTask, recognition: Recognition, *, num_envs: int, progress: Callback
+        self,
+        task: AbstractTask,
+        recognition: Recognition | None,
+        *,
+        num_envs: int,
+        progress: Callback,
     ) -> TransformedEnv:
         """Return flows of ``make_policy``'s task, for whoever reads them at every check."""
         progress.on_phase("compilation" if self.compile else "set-up")
@@ -105,9 +109,10 @@ def read_task(given: Node) -> Node:
     source = policy if policy.startswith(PREFIX) else given.get("checkpoint")
     if source is None:
         return {}
-    path, metadata = read_metadata(str(source))
-    trained = metadata["config"]
-    found: dict[str, Any] = {"recognition": find_classifier(trained.get("recognition"), path)}
+    trained = read_metadata(str(source))[1]["config"]
+    found: dict[str, Any] = {}
+    if "recognition.path" not in given:
+        found["recognition"] = trained.get("recognition")
     if not {"task", "preset"} & set(given):
         found |= {name: trained[name] for name in ("task", "preset") if name in trained}
     return found

@@ -1,8 +1,8 @@
 """Train a lateral-line classifier: ``fishrl train-lateral-line seed=0``.
 
 Collects labelled signals in every flow of a task, half under random actions and half under station
-holding, and fits the classifier. Writes ``machine.pt``, the classifier for ``recognition=``, its
-accuracies (``lateral_line.json``), learning curves and confusion matrix.
+holding, and fits the classifier. Writes ``classifier.pt``, for ``recognition.path=``,
+its accuracies (``lateral_line.json``), learning curves and confusion matrix.
 ``preset=gait_small`` trains one for the task of that preset. Collected data are kept: the same
 command continues after an interruption, and other fits reuse them.
 """
@@ -19,6 +19,7 @@ from fishrl.programs.program import program
 from fishrl.settings import describe as describe_settings
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.progress import Progress
+from fishrl.training.recognition import FILE
 from fishrl.training.run_folder import RunFolder, write_json, write_yaml
 
 logger = logging.getLogger(__name__)
@@ -33,7 +34,7 @@ def train_lateral_line(
     """
     progress.on_phase("fits", total=1 + (settings.paper_epochs > 0))
     fits = {"classifier": fit(settings, episodes)}
-    fits["classifier"].classifier.save(folder / "machine.pt")
+    fits["classifier"].classifier.save(folder / FILE)
     progress.on_progress(1)
     if settings.paper_epochs:
         fits["paper"] = fit(settings.as_in_the_paper(), episodes)

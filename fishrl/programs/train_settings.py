@@ -21,7 +21,6 @@ class TrainConfig(ViewerSettings, Plan):
         modules: modules of your own that define tasks, algorithms or loggers.
     """
 
-    recognition: str | None = None
     resume: Annotated[str | None, Role.HARMLESS] = None
     picture_episodes: Annotated[NonNegativeInt, Role.EVALUATION] = 6
     modules: Annotated[tuple[str, ...], Role.HARMLESS] = ()

@@ -86,7 +86,8 @@ def build(kind: type[T] | tuple[type[T], ...], node: Any, *, modules: Collection
     Args:
         kind: class of the object or a base of it, or several.
         node: its arguments. ``_target_`` names the class, as ``module.Class`` or by its word;
-            without it, arguments of an object in a field change the default of that field.
+            without it, arguments of an object in a field change the default of that field, or make
+            the only class that has them.
         modules: modules outside fishrl that may be imported for a ``_target_``, named by the user
             and never by a file. Those that are imported already need not be named.
 
@@ -166,6 +167,9 @@ class _Builder:
                 return find_class(str(node[TARGET]), kinds, modules=self.modules)
             if isinstance(default, Settings):
                 return type(default)
+            fitting = [kind for kind in _list_kinds(*kinds) if {*node} <= _name_fields(kind)]
+            if len(fitting) == 1:
+                return fitting[0]
             if len(kinds) == 1 and not inspect.isabstract(kinds[0]):
                 return kinds[0]
         raise ValueError(f"give a {TARGET} and its arguments; got {node!r}")
@@ -184,14 +188,16 @@ class _Builder:
                 if issubclass(kind, Enum):
                     return self._pick(kind, value, path)
             if words := list_words(hint):
-                return self._make_named(value, words, path)
+                return self._make_named(value, words, path, hint)
         return value
 
-    def _make_named(self, word: str, words: Mapping[str, type], path: str) -> Any:
+    def _make_named(self, word: str, words: Mapping[str, type], path: str, hint: Any) -> Any:
         """Return the object that a word stands for."""
         if word in words:
             return self.make({}, (words[word],), path=path)
-        reason = f"must be one of {', '.join(words)}{suggest(word, words)}"
+        others = [kind for kind in _list_kinds(hint) if kind not in words.values()]
+        more = "".join(f", or give {path}.{_list_required(kind)[0]}=..." for kind in others)
+        reason = f"must be one of {', '.join(words)}{more}{suggest(word, words)}"
         self.errors.append(f"{path} = {word!r}: {reason}")
         return None
 
@@ -239,16 +245,29 @@ def list_words(*hints: Any) -> dict[str, type]:
     They are those imported so far that are not abstract and whose settings all have defaults. There
     is none where the field may hold text.
     """
-    words: dict[str, type] = {}
+    return {
+        re.sub(r"(?<=[a-z\d])(?=[A-Z])", "-", kind.__name__).lower(): kind
+        for kind in _list_kinds(*hints)
+        if not _list_required(kind)
+    }
+
+
+def _list_kinds(*hints: Any) -> list[type]:
+    """List the concrete classes of settings that a field may hold, unless it may hold text."""
     if any(map(_may_be_text, hints)):
-        return words
+        return []
     kinds = [kind for hint in hints for kind in list_classes(hint) if issubclass(kind, Settings)]
     for kind in kinds:
         kinds += kind.__subclasses__()
-        has_defaults = all(entry.default is not REQUIRED for entry in list_fields(kind))
-        if has_defaults and not inspect.isabstract(kind):
-            words[re.sub(r"(?<=[a-z\d])(?=[A-Z])", "-", kind.__name__).lower()] = kind
-    return words
+    return [kind for kind in dict.fromkeys(kinds) if not inspect.isabstract(kind)]
+
+
+def _list_required(kind: type) -> list[str]:
+    return [entry.name for entry in list_fields(kind) if entry.default is REQUIRED]
+
+
+def _name_fields(kind: type) -> set[str]:
+    return {entry.name for entry in list_fields(kind)}
 
 
 def _may_be_text(hint: Any) -> bool:

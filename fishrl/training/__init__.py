@@ -26,12 +26,14 @@ from fishrl.training.interruption import Interrupted
 from fishrl.training.plan import Plan
 from fishrl.training.policies import evaluate, load_plan, load_policy
 from fishrl.training.progress import Progress
+from fishrl.training.recognition import Classifier
 from fishrl.training.runs import begin, complete, find_result, make_folder, reopen, resume, train
 from fishrl.training.settings import LearningSettings, RunSettings
 
 __all__ = [
     "Algorithm",
     "Callback",
+    "Classifier",
     "DiscreteSAC",
     "Interrupted",
     "LearningSettings",

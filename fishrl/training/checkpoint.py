@@ -21,6 +21,7 @@ from fishrl.files import describe_tensor, load_tensors, write_whole
 from fishrl.training.plain_files import Count, Stored, Tree, read_plain
 from fishrl.training.policy_spec import CHECKED, PolicySpec
 from fishrl.training.policy_zoo import find_folder
+from fishrl.training.recognition import locate
 from fishrl.training.run_folder import adopt_config, refuse_many
 
 MANIFEST, SUMS = "manifest.json", "SHA256SUMS"
@@ -141,7 +142,7 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
         manifest = _read_manifest(found)
         _check_files(found, [MANIFEST])
         metadata = manifest.metadata.model_dump()
-        return found, {**metadata, "config": adopt_config(metadata["config"])}
+        return found, {**metadata, "config": locate(adopt_config(metadata["config"]), found)}
     except (OSError, ValueError) as error:
         raise _corrupt(found, error) from error
 

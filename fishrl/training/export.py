@@ -12,10 +12,9 @@ from fishrl import __version__
 from fishrl.files import check_names, write_whole
 from fishrl.pages import escape, write_csv, write_table
 from fishrl.training.checkpoint import read_metadata, save_checkpoint, write_sums
-from fishrl.training.classifier import find_classifier, keep_recognition
 from fishrl.training.logger import read_rows
 from fishrl.training.plan import Plan
-from fishrl.training.policies import load_plan, load_policy
+from fishrl.training.policies import load_policy
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, read_config, read_summary, write_json
 
@@ -60,8 +59,8 @@ def export_policy(
     source, folder = RunFolder(check_names(Path(run).expanduser())), Path(folder).expanduser()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ValueError(f"folder = {folder}: exists; name a new one")
-    path, plan = load_plan(source.path)
-    metadata = read_metadata(path)[1]
+    path, metadata = read_metadata(source.path)
+    plan = Plan.from_config(metadata["config"])
     if source.config.is_file():  # its settings may have changed since the best checkpoint
         plan = Plan.from_config(read_config(source.config))
     actor = load_policy(path)
@@ -70,7 +69,8 @@ def export_policy(
     config = plan.to_config()
     folder.parent.mkdir(parents=True, exist_ok=True)
     save_checkpoint(folder, {"actor": actor}, spec=spec, frames=metadata["frames"], config=config)
-    keep_recognition(find_classifier(plan.recognition, path), folder)
+    if plan.recognition is not None:
+        plan.recognition.keep(folder)
     summary = read_summary(source.summary) if source.summary.is_file() else {}
     if summary:
         write_json(folder / source.summary.name, summary)
@@ -96,14 +96,13 @@ def _write_card(
     """Return the model card of a policy that was saved after ``frames``, as Markdown."""
     header = {"library_name": "fishrl", "license": "mit", "tags": ["reinforcement-learning"]}
     task = type(plan.task).__name__
-    sources: dict[Any, str] = {None: "none", "oracle": "true flow labels"}
-    recognition = sources.get(plan.recognition, "lateral-line classifier")
+    labels = "none" if plan.recognition is None else type(plan.recognition).__name__.lower()
     about = {
         "task": task,
         "algorithm": type(plan.algorithm).__name__,
         "seed": plan.seed,
         "env frames": f"{frames:,} of {plan.total_frames:,}",
-        "recognition of the flow": recognition,
+        "recognition of the flow": labels,
         "exported with fishrl": " ".join(filter(None, (__version__, revision))),
     }
     names = ["policy", *summary.get("baselines", [])]

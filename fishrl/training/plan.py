@@ -5,12 +5,12 @@ from dataclasses import field, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from fishrl.envs import AbstractTask
+from fishrl.envs import AbstractTask, Recognition
 from fishrl.settings import TARGET, Role, build, describe, list_fields
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
-from fishrl.training.classifier import Recognition
 from fishrl.training.logger import CsvLogger
+from fishrl.training.recognition import FILE, Classifier
 from fishrl.training.settings import LearningSettings, RunSettings
 
 
@@ -22,15 +22,14 @@ class Plan(RunSettings, LearningSettings):
         algorithm: the learning algorithm.
         logger: writes the metrics.
         preset: name of the preset.
-        recognition: source of flow labels: ``oracle``, a lateral-line classifier, its file,
-            ``zoo/<name>`` for a policy's classifier, or nothing.
+        recognition: source of flow labels, ``Oracle()`` or ``Classifier(path=...)``.
     """
 
     task: AbstractTask
     algorithm: Algorithm = DiscreteSAC()
     logger: Annotated[CsvLogger, Role.HARMLESS] = field(default_factory=CsvLogger)
     preset: str | None = None
-    recognition: Recognition = None
+    recognition: Recognition | None = None
 
     def __post_init__(self) -> None:
         """Check the algorithm, and take over the settings that follow from its own."""
@@ -52,8 +51,11 @@ class Plan(RunSettings, LearningSettings):
         return None if self.name is None else Path(self.folder).expanduser() / self.name
 
     def to_config(self) -> dict[str, Any]:
-        """Return the plan as plain data."""
-        return {name: value for name, value in describe(self).items() if name != TARGET}
+        """Return the plan as plain data; the path of a classifier is that in the run folder."""
+        config = {name: value for name, value in describe(self).items() if name != TARGET}
+        if isinstance(self.recognition, Classifier):
+            config["recognition"] |= {"path": FILE}
+        return config
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any]) -> Self:

@@ -7,27 +7,27 @@ from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
-from fishrl.envs import AbstractTask, make_env
+from fishrl.envs import AbstractTask, Recognition, make_env
 from fishrl.envs.episodes import Policy, run_episodes
-from fishrl.envs.transforms import equip
 from fishrl.physics.fast.checks import check_device
 from fishrl.torch_state import in_own_state
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import load_checkpoint, read_metadata
-from fishrl.training.classifier import Recognition, find_classifier, load_recognition
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
 
 
-def load_plan(checkpoint: str | Path) -> tuple[Path, Plan]:
-    """Return the path of a checkpoint (or that in a run folder) and the plan of its run.
+def load_plan(checkpoint: str | Path) -> Plan:
+    """Return the settings of a run: its task and recognition, for ``make_env``, and all others.
+
+    Args:
+        checkpoint: run folder, checkpoint, or ``zoo/<name>`` for a policy of ``fishrl.zoo``.
 
     Errors are those of ``Plan.from_config`` and ``read_metadata``.
     """
-    path, metadata = read_metadata(checkpoint)
-    return path, Plan.from_config(metadata["config"])
+    return Plan.from_config(read_metadata(checkpoint)[1]["config"])
 
 
 @in_own_state
@@ -38,22 +38,25 @@ def load_policy(
     has_labels: bool | None = None,
     device: str = "cpu",
 ) -> TensorDictModuleBase:
-    """Load the learned policy of a run folder or a checkpoint.
+    """Load a learned policy.
+
+    It samples its actions. Under ``torchrl.envs.set_exploration_type`` with
+    ``ExplorationType.DETERMINISTIC``, as in evaluations, it takes the most probable ones.
 
     Args:
-        checkpoint: run folder or checkpoint.
+        checkpoint: run folder, checkpoint, or ``zoo/<name>`` for a policy of ``fishrl.zoo``.
         task: the task to act in; by default the task of its run.
         has_labels: whether transforms label the flows of the task; by default as in its run.
         device: device of the policy.
 
     Errors are those of ``load_plan``.
     """
-    path, plan = load_plan(checkpoint)
+    plan = load_plan(checkpoint)
     if has_labels is None:
         has_labels = plan.recognition is not None
     spec = PolicySpec.for_task(task or plan.task, hidden=plan.hidden, has_labels=has_labels)
     actor = plan.algorithm.make_policy(spec).to(device)
-    load_checkpoint(path, {"actor": actor}, spec=spec, device=device)
+    load_checkpoint(checkpoint, {"actor": actor}, spec=spec, device=device)
     return actor
 
 
@@ -61,10 +64,10 @@ def prepare(
     policy: str | Path | Policy,
     *,
     task: AbstractTask | None = None,
-    recognition: Recognition | EllipsisType = ...,
+    recognition: Recognition | EllipsisType | None = ...,
     seed: int = 0,
     device: str = "cpu",
-) -> tuple[AbstractTask, Recognition, Policy]:
+) -> tuple[AbstractTask, Recognition | None, Policy]:
     """Return what a policy acts in and with; arguments and errors are those of ``evaluate``.
 
     Returns:
@@ -73,20 +76,19 @@ def prepare(
     """
     check_device(device)
     if isinstance(policy, Path):
-        path, plan = load_plan(policy)
+        plan = load_plan(policy)
         task = task or plan.task
-        if recognition is ...:
-            recognition = find_classifier(plan.recognition, path)
+        recognition = plan.recognition if recognition is ... else recognition
     if task is None:
         raise ValueError("evaluate: give a task, or the Path of a checkpoint, which brings its own")
-    labels = load_recognition(None if recognition is ... else recognition)
+    labels = None if recognition is ... else recognition
+    act: Any = policy
     if isinstance(policy, Path):  # first whether it fits the task, then whether its classifier does
-        learned = load_policy(policy, task=task, has_labels=labels is not None, device=device)
-        return equip(task, labels), labels, learned
-    task = equip(task, labels)
+        act = load_policy(policy, task=task, has_labels=labels is not None, device=device)
+    task = task if labels is None else labels.check(task)
     if isinstance(policy, str):
-        return task, labels, make_baseline(policy, task=task, seed=seed)
-    return task, labels, policy
+        act = make_baseline(policy, task=task, seed=seed)
+    return task, labels, act
 
 
 @in_own_state
@@ -94,7 +96,7 @@ def evaluate(
     policy: str | Path | Policy,
     *,
     task: AbstractTask | None = None,
-    recognition: Recognition | EllipsisType = ...,
+    recognition: Recognition | EllipsisType | None = ...,
     episodes: int = 32,
     num_envs: int = 16,
     seed: int = 0,
@@ -108,8 +110,8 @@ def evaluate(
         policy: ``Path`` of a run folder or checkpoint, name of a baseline of the task, or a policy
             that writes ``action``.
         task: the task; by default that of the checkpoint.
-        recognition: source of flow labels, see ``make_env``, or the file of a classifier; by
-            default that of the checkpoint's run, and None for other policies.
+        recognition: source of flow labels, see ``make_env``; by default that of the checkpoint's
+            run, and None for other policies.
         episodes: number of starts.
         num_envs: flows that advance together.
         seed: seed of the starts and of random actions; 0 gives the starts of every run's final

@@ -4,17 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
-from pathlib import Path
 
 from torchrl.envs import TransformedEnv
 
 from fishrl.envs import AbstractTask, make_env
-from fishrl.envs.transforms import equip
 from fishrl.extras import show_install
 from fishrl.memory import check_memory
 from fishrl.physics.fast.checks import check_device
 from fishrl.training.baselines import choose_baselines
-from fishrl.training.classifier import load_recognition
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
 
@@ -41,17 +38,15 @@ class ResolvedRun:
         return num_nodes * num_frames / max(seconds, 1e-9) / 1e6
 
 
-def resolve(plan: Plan, *, folder: Path = Path()) -> ResolvedRun:
+def resolve(plan: Plan) -> ResolvedRun:
     """Check the settings of a run and resolve what follows from them.
-
-    A classifier of the run itself lies in its ``folder``.
 
     Raises:
         ValueError: for settings that do not fit together, the task or this machine.
     """
     _check_devices(plan)
-    labels = load_recognition(plan.recognition, folder)
-    task = equip(plan.task, labels)
+    labels = plan.recognition
+    task = plan.task if labels is None else labels.check(plan.task)
     spec = PolicySpec.for_task(task, hidden=plan.hidden, has_labels=labels is not None)
     _check_memory(plan, task, spec)
     return ResolvedRun(

@@ -15,13 +15,11 @@ from typing import Any, TextIO
 
 import yaml
 
-from fishrl.envs.transforms import ORACLE
 from fishrl.files import check_names, write_whole
 from fishrl.locks import take_lock
-from fishrl.training.classifier import OWN
 from fishrl.training.interruption import Interrupted
 from fishrl.training.plain_files import Count, Stored, Tree, read_plain
-from fishrl.training.policy_zoo import PREFIX
+from fishrl.training.recognition import locate
 
 logger = logging.getLogger(__name__)
 
@@ -40,7 +38,6 @@ class RunFolder:
         self.summary = path / "summary.json"  # the result of the run
         self.last = path / "checkpoints" / "last"  # the newest, from which a run resumes
         self.best = path / "checkpoints" / "best"  # the one with the best evaluation
-        self.classifier = path / OWN  # labels its flows, if one does
         self.failure = path / "failure.txt"  # why the run failed; the last line is the message
         self.lock = path / ".lock"  # locked by the process that writes the run, see ``hold``
 
@@ -133,20 +130,16 @@ def refuse_many(folder: Path, *, setting: str) -> None:
 
 def read_config(path: Path) -> dict[str, Any]:
     """Read the ``config.yaml`` of a run; raise ValueError if it holds no settings."""
-    return adopt_config(read_plain(path, Tree, what="the configuration of a run"))
+    config = read_plain(path, Tree, what="the configuration of a run")
+    return locate(adopt_config(config), path.parent)
 
 
 def adopt_config(config: dict[str, Any]) -> dict[str, Any]:
     """Return stored settings, with the immersed boundary in a task that names no coupling.
 
     It was the only one of tasks before they had the setting, and not the default since.
-
-    Raises:
-        ValueError: for settings that no run writes.
     """
-    named, task = config.get("recognition"), config.get("task")
-    if isinstance(named, str) and named not in (OWN, ORACLE) and not named.startswith(PREFIX):
-        raise ValueError(f"recognition = {named!r}: a run keeps its classifier as {OWN}")
+    task = config.get("task")
     if not isinstance(task, dict) or "coupling" in task:
         return config
     return {**config, "task": {**task, "coupling": "IMPLICIT"}}

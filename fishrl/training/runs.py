@@ -7,13 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fishrl.envs import AbstractTask
+from fishrl.envs import AbstractTask, Recognition
 from fishrl.settings import Role, flatten, list_fields, to_plain
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.callback import Callback
 from fishrl.training.checkpoint import check_checkpoint, read_metadata
-from fishrl.training.classifier import Recognition, keep_recognition, name_recognition
 from fishrl.training.interruption import handling_signals
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
@@ -34,7 +33,7 @@ def train(
     learning: LearningSettings | None = None,
     run: RunSettings | None = None,
     callbacks: Iterable[Callback] = (),
-    recognition: Recognition = None,
+    recognition: Recognition | None = None,
     logger: CsvLogger | None = None,
     preset: str | None = None,
 ) -> dict[str, Any]:
@@ -48,7 +47,7 @@ def train(
         learning: settings that determine the result.
         run: where the run is written, and how often it evaluates, logs and saves.
         callbacks: called during the run, such as ``Progress()``.
-        recognition: source of flow labels, see ``fishrl.envs.make_env``, or a classifier file.
+        recognition: source of flow labels, ``Oracle()`` or ``Classifier(path=...)``.
         logger: writes the metrics; by default to a CSV file.
         preset: name for these settings; part of the name of the run folder.
 
@@ -100,26 +99,29 @@ def adopt_plan(folder: RunFolder, plan: P) -> P:
         ValueError: naming each setting that fixes the result and differs from the run's.
     """
     stored = type(plan).from_config(read_config(folder.config))
-    plan = replace(
+    _refuse_other(plan, stored, folder.path)
+    return replace(
         plan,
-        recognition=name_recognition(plan.recognition, folder.path),
+        recognition=stored.recognition,
         logger=stored.logger,
         folder=stored.folder,
         name=stored.name,
     )
-    _refuse_other(plan, stored, folder.path)
-    return plan
 
 
 def _refuse_other(plan: Plan, stored: Plan, path: Path) -> None:
     """Raise ValueError naming each setting that fixes the result and differs from those stored."""
-    flat, other = (
-        flatten({name: to_plain(getattr(each, name)) for name in FIXED}) for each in (stored, plan)
-    )
+    flat, other = (flatten(_describe_fixed(each)) for each in (stored, plan))
     different = [key for key in {**other, **flat} if flat.get(key) != other.get(key)]
     if different:
         lines = [f"{key} = {other.get(key)}: is {flat.get(key)} in {path}" for key in different]
         raise ValueError("\n".join(lines) + "; take another folder or name, or change it back")
+
+
+def _describe_fixed(plan: Plan) -> dict[str, Any]:
+    fixed = {name: to_plain(getattr(plan, name)) for name in FIXED}
+    labels = plan.recognition
+    return fixed | {"recognition": None if labels is None else labels.identity}
 
 
 def read_result(folder: RunFolder, plan: Plan) -> dict[str, Any] | None:
@@ -174,7 +176,8 @@ def make_folder(plan: Plan) -> tuple[RunFolder, Plan]:
     """
     is_named = plan.name is not None
     folder = RunFolder.create(parent=plan.folder, name=plan.folder_name, reuse=is_named)
-    plan = replace(plan, recognition=keep_recognition(plan.recognition, folder.path))
+    if plan.recognition is not None:
+        plan = replace(plan, recognition=plan.recognition.keep(folder.path))
     write_yaml(folder.config, plan.to_config())
     return folder, plan
 
@@ -196,7 +199,7 @@ def _continue(folder: RunFolder, plan: Plan, callbacks: Iterable[Callback]) -> T
             path, metadata = read_metadata(folder.path, which="last")
             check_checkpoint(path)
             _refuse_other(plan, Plan.from_config(metadata["config"]), path)
-        training = Training(resolve(plan, folder=folder.path), folder=folder, callbacks=callbacks)
+        training = Training(resolve(plan), folder=folder, callbacks=callbacks)
         if folder.has_begun():
             try:
                 training.restore()

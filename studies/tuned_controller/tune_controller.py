@@ -25,9 +25,9 @@ from fishrl.envs.episodes import run_episodes
 from fishrl.extras import show_install
 from fishrl.modules import PID, GaitPolicy, KeepCourse
 from fishrl.programs.statistics import find_share
+from fishrl.training import load_plan
 from fishrl.training.baselines import make_gait_policy
 from fishrl.training.evaluation import FINAL_SEED, TRAIN_SEED, fixed_starts
-from fishrl.zoo import load_policy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +221,7 @@ def main() -> None:
     parser.add_argument("--decisions", type=int, default=Budget.decisions)
     parser.add_argument("--seed", type=int, default=Budget.seed)
     chosen = parser.parse_args()
-    _, task = load_policy("gait_bend")
+    task = load_plan("zoo/gait_bend").task
     assert isinstance(task, KarmanGait)
     controller = CONTROLLERS[chosen.senses]
     numbers = tune(controller, task, Budget(decisions=chosen.decisions, seed=chosen.seed))

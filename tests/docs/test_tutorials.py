@@ -33,6 +33,7 @@ WRITTEN = {
     "tutorials/cylinder.md": ["cylinder.png", "two_cylinders.png"],
     "tutorials/fish_in_a_stream.md": ["fish_in_a_stream.png"],
     "gymnasium.md": ["films", "fish.zip"],
+    "tutorials/lateral_line.md": ["classifier.pt"],
     "tutorials/new_task.md": ["runs"],
 }
 

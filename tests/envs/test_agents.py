@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 from torchrl.envs.utils import check_marl_grouping
 
-from fishrl.envs import FlowEnv, make_env
+from fishrl.envs import FlowEnv, Oracle, make_env
 from fishrl.envs.agents import EachFish, average_fish, split_fish
 from fishrl.modules import RandomPolicy
 from tests.envs.conftest import SMALL, make_flows, reset_rows
@@ -90,7 +90,7 @@ def test_illegal_action_is_named_with_its_row_and_fish(flows: FlowEnv) -> None:
 
 def test_flow_labels_are_refused_for_several_fish() -> None:
     with pytest.raises(ValueError, match=r"LabelledPair has .* several fish"):
-        make_env(task=LabelledPair(**SMALL), num_envs=1, recognition="oracle")
+        make_env(task=LabelledPair(**SMALL), num_envs=1, recognition=Oracle())
 
 
 def test_split_and_averaged_entries_are_those_of_each_fish_and_its_flow() -> None:

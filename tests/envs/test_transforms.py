@@ -1,7 +1,8 @@
 """Flow labels: entries, memory, partial resets and refused classifiers."""
 
-from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise, product
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,20 +12,24 @@ from torchrl.envs import CatFrames, StepCounter, Transform, TransformedEnv, chec
 
 from fishrl.envs import (
     KarmanGait,
+    Oracle,
     Predation,
-    PredictedFlowLabel,
-    TrueFlowLabel,
-    make_recognition,
 )
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.modules import LateralLineClassifier
+from fishrl.training import Classifier
 from tests.envs.conftest import SMALL, make_flows
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 LINE = LateralLine(num_neuromasts=5, num_samples=16, features=("u_x", "u_y"), noise=0.3)
 BEATS = DirectFrequencies(frequencies=(1.0, 2.0))
-TASK = KarmanGait(**SMALL | {"wall_margin_bl": 0.25}, lateral_line=LINE, control=BEATS)
+TASK = KarmanGait(
+    **SMALL | {"wall_margin_bl": 0.25},
+    lateral_line=LINE,
+    control=BEATS,
+    observes=("place", "flow_label"),
+)
 FLOWS, NUM_SEEN = TASK.flow_labels, TASK.n_obs
 
 
@@ -50,23 +55,28 @@ def untrained(**changes: Any) -> LateralLineClassifier:
     return LateralLineClassifier(**arguments, generator=torch.Generator().manual_seed(0))
 
 
-def make_predicted(num_envs: int = 3, **options: Any) -> TransformedEnv:
-    return make(*make_recognition(untrained(), **options), num_envs=num_envs)
+def save(folder: Path, *, options: Any = None, **changes: Any) -> Classifier:
+    untrained(**changes).save(folder / "classifier.pt")
+    return Classifier(path=str(folder), **options or {})
+
+
+def make_predicted(folder: Path, num_envs: int = 3, **options: Any) -> TransformedEnv:
+    return make(*save(folder, options=options).transforms(TASK), num_envs=num_envs)
 
 
 @pytest.mark.parametrize("num_samples", [16, 40])
-def test_specs_hold_in_front_of_a_frame_stack(num_samples: int) -> None:
+def test_specs_hold_in_front_of_a_frame_stack(tmp_path: Path, num_samples: int) -> None:
     stack = CatFrames(N=2, dim=-1, in_keys=["observation"], out_keys=["observation_stack"])
-    env = make(*make_recognition(untrained(num_samples=num_samples)), StepCounter(), stack)
+    env = make(*save(tmp_path, num_samples=num_samples).transforms(TASK), StepCounter(), stack)
     check_env_specs(env, seed=0)
     assert env.observation_spec["observation_stack"].shape == (3, 2 * (NUM_SEEN + 3))
 
 
-def test_without_memory_labels_are_the_classifiers_output() -> None:
-    env = make_predicted(memory=0.0)
+def test_without_memory_labels_are_the_classifiers_output(tmp_path: Path) -> None:
+    env = make_predicted(tmp_path, memory=0.0)
     rollout = roll(env, 6)
     for td in (rollout, rollout["next"]):
-        expected = env.transform[0].machine(td["lateral_line"]).softmax(-1)
+        expected = env.transform[0].classifier(td["lateral_line"]).softmax(-1)
         assert torch.allclose(td["flow_probabilities"], expected)
         assert torch.equal(td["flow_class"], expected.argmax(-1))
         assert td["flow_class"].dtype == torch.int64
@@ -74,36 +84,28 @@ def test_without_memory_labels_are_the_classifiers_output() -> None:
         assert torch.equal(td["observation"][..., NUM_SEEN:], td["flow_probabilities"])
 
 
-@pytest.mark.parametrize(
-    "transforms",
-    [
-        lambda: [TrueFlowLabel(num_flows=3, is_observed=False)],
-        lambda: make_recognition(untrained(), is_observed=False),
-        lambda: make_recognition(untrained(), interpolates=True, is_observed=False),
-    ],
-    ids=["true", "predicted", "interpolated"],
-)
+@pytest.mark.parametrize("interpolates", [False, True])
 def test_labels_need_not_be_observed_and_may_be_interpolated(
-    transforms: Callable[[], list[Transform]], request: pytest.FixtureRequest
+    tmp_path: Path, interpolates: bool
 ) -> None:
-    env = make(*transforms())
+    recognition = save(tmp_path, options={"interpolates": interpolates})
+    env = make(*recognition.transforms(replace(TASK, observes=("place",))))
     check_env_specs(env, seed=0)
     rollout = roll(env, 6)
     assert rollout["observation"].shape[-1] == NUM_SEEN
     p = rollout["flow_probabilities"]
     mean, most = p[..., 1] + 2.0 * p[..., 2], p.argmax(-1)
-    expected = mean if request.node.callspec.id == "interpolated" else most
-    torch.testing.assert_close(rollout["flow_class"], expected)
+    torch.testing.assert_close(rollout["flow_class"], mean if interpolates else most)
 
 
 def test_oracle_writes_the_true_flow() -> None:
-    rollout = roll(make(TrueFlowLabel(num_flows=3)), 10)
+    rollout = roll(make(*Oracle().transforms(TASK)), 10)
     assert torch.equal(rollout["flow_class"], rollout["flow_index"].squeeze(-1))
     assert torch.equal(rollout["observation"][..., NUM_SEEN:].argmax(-1), rollout["flow_class"])
 
 
-def test_partial_reset_restarts_the_history_of_its_rows_alone() -> None:
-    env = make(*make_recognition(untrained(num_samples=32)))
+def test_partial_reset_restarts_the_history_of_its_rows_alone(tmp_path: Path) -> None:
+    env = make(*save(tmp_path, num_samples=32).transforms(TASK))
     td = roll(env, 3)[:, -1].exclude("action")["next"]
     before = td.clone()
     td = env.reset(td.set("_reset", torch.tensor([[False], [True], [False]])))
@@ -112,14 +114,14 @@ def test_partial_reset_restarts_the_history_of_its_rows_alone() -> None:
     for row in (0, 2):
         assert torch.equal(history[row], before["lateral_line_history"][row])
         assert torch.equal(td["flow_probabilities"][row], before["flow_probabilities"][row])
-    said = env.transform[1].machine(history).softmax(-1)
+    said = env.transform[1].classifier(history).softmax(-1)
     assert torch.allclose(td["flow_probabilities"][1], said[1])
 
 
-def test_memory_discounts_earlier_output_within_an_episode() -> None:
-    env = make_predicted(memory=0.5)
+def test_memory_discounts_earlier_output_within_an_episode(tmp_path: Path) -> None:
+    env = make_predicted(tmp_path, memory=0.5)
     rollout = roll(env, 6)
-    said = env.transform[0].machine(rollout["lateral_line"]).log_softmax(-1)
+    said = env.transform[0].classifier(rollout["lateral_line"]).log_softmax(-1)
     ends, total = rollout["next", "done"], torch.zeros(3, 3)
     for k in range(6):
         begins = ends[:, k - 1] if k else torch.ones(3, 1, dtype=torch.bool)
@@ -128,12 +130,12 @@ def test_memory_discounts_earlier_output_within_an_episode() -> None:
     assert ends[:, :5].sum(1).flatten().tolist() == [1, 1, 0]  # at different times
 
 
-def test_switching_rate_gives_the_filter_of_a_hidden_markov_model() -> None:
+def test_switching_rate_gives_the_filter_of_a_hidden_markov_model(tmp_path: Path) -> None:
     """Against the sum over every path of flows, each weighted by its probability."""
     rate, num = 0.3, 5
-    env = make_predicted(9, memory=1.0, switching_rate=rate)
+    env = make_predicted(tmp_path, 9, memory=1.0, switching_rate=rate)
     rollout = roll(env, num)[8]  # a row whose episode does not end
-    said = env.transform[0].machine(rollout["lateral_line"]).softmax(-1).double()
+    said = env.transform[0].classifier(rollout["lateral_line"]).softmax(-1).double()
     transition = (1.0 - rate) * torch.eye(3).double() + rate / 3.0
     for k in range(num):
         total = torch.zeros(3, dtype=torch.float64)
@@ -146,12 +148,13 @@ def test_switching_rate_gives_the_filter_of_a_hidden_markov_model() -> None:
         torch.testing.assert_close(rollout["flow_probabilities"][k], expected)
 
 
-def test_saved_environment_keeps_weights_and_evidence() -> None:
+def test_saved_environment_keeps_weights_and_evidence(tmp_path: Path) -> None:
     """The weights are frozen, so they may be changed in place."""
-    first, second = (make(*make_recognition(untrained(num_samples=32))) for _ in range(2))
-    for parameter in second.transform[1].machine.parameters():
+    recognition = save(tmp_path, num_samples=32)
+    first, second = (make(*recognition.transforms(TASK)) for _ in range(2))
+    for parameter in second.transform[1].classifier.parameters():
         parameter.add_(1.0)
-    assert not second.transform[1].machine.training
+    assert not second.transform[1].classifier.training
     td = roll(first, 2)[:, -1]["next"]
     second.reset()
     second.load_state_dict(first.state_dict())
@@ -161,15 +164,13 @@ def test_saved_environment_keeps_weights_and_evidence() -> None:
     assert torch.equal(*after) and not torch.equal(after[0], td["flow_probabilities"])
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_unfit_recognition_is_refused(tmp_path: Path) -> None:
     for name in ("memory", "switching_rate"):
-        with pytest.raises(ValueError, match=rf"{name} = 1\.5: must lie in \[0, 1\]"):
-            make_recognition(untrained(), **{name: 1.5})
-    other = untrained(flows=[*FLOWS[:2], {**FLOWS[2], "stream_speed_bl": 2.0}])
+        with pytest.raises(ValueError, match=rf"{name} = 1\.5: "):
+            save(tmp_path, options={name: 1.5})
+    other = save(tmp_path, flows=[*FLOWS[:2], {**FLOWS[2], "stream_speed_bl": 2.0}])
     with pytest.raises(ValueError, match=r"stream_speed_bl = 2\.0, here it is 1\.5"):
-        make(PredictedFlowLabel(machine=other))
-    env = TransformedEnv(make_flows(Predation(**SMALL), 1))
-    with pytest.raises(ValueError, match="Predation has no lateral line"):
-        env.append_transform(PredictedFlowLabel(machine=untrained()))
-    with pytest.raises(ValueError, match="0 labelled flows"):
-        env.append_transform(TrueFlowLabel(num_flows=3))
+        other.check(TASK)
+    for recognition in (other, Oracle()):
+        with pytest.raises(ValueError, match="Predation has no flows to tell apart"):
+            recognition.check(Predation(**SMALL))

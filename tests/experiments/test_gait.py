@@ -14,13 +14,13 @@ from torch import nn
 
 from experiments import transfer
 from experiments.gait.trials import load_trial, make_trial, name_arm
-from fishrl.envs import KarmanGait
+from fishrl.envs import KarmanGait, Oracle
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.steering import PolicySteering, save_weights
 from fishrl.modules import LateralLineClassifier
 from fishrl.programs.train import set_up
 from fishrl.programs.train_settings import TRAINING
-from fishrl.training import complete
+from fishrl.training import Classifier, complete
 from fishrl.training.policies import load_policy
 from tests.envs.conftest import move_kinematically
 from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
@@ -35,15 +35,15 @@ SETTINGS = [
 ]
 
 
-def make_machine(path: Path, task: KarmanGait | None = None) -> str:
+def make_classifier(path: Path, task: KarmanGait | None = None) -> Classifier:
     task = task or make_task()
-    machine = LateralLineClassifier(
+    classifier = LateralLineClassifier(
         flows=task.flow_labels,
         sensors=task.lateral_line_layout,
         generator=torch.Generator().manual_seed(0),
     )
-    machine.save(path)
-    return str(path)
+    classifier.save(path)
+    return Classifier(path=str(path))
 
 
 def run(folder: Path, *overrides: str, **settings: object) -> dict[str, Any]:
@@ -55,11 +55,11 @@ def run(folder: Path, *overrides: str, **settings: object) -> dict[str, Any]:
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a run whose flows a classifier labels, and one with true labels."""
     folder = tmp_path_factory.mktemp("runs")
-    choice = make_machine(folder / "m.pt")
+    choice = make_classifier(folder / "m.pt")
     with pytest.MonkeyPatch.context() as patch:
         move_kinematically(patch)
-        summary = run(folder, "name=machine", "picture_episodes=1", recognition=choice)
-        run(folder, "name=oracle", "seed=1", "baselines=[]", recognition="oracle")
+        summary = run(folder, "name=classifier", "picture_episodes=1", recognition=choice)
+        run(folder, "name=oracle", "seed=1", "baselines=[]", recognition=Oracle())
     assert summary["success"] == "survived"
     assert summary["baselines"] == ["pid", "random"]
     assert 0.0 < summary["mean_length_T"] <= 6.0
@@ -68,10 +68,10 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_trained_gaits_are_tried_in_every_flow(trained: Path, tmp_path: Path) -> None:
-    assert (trained / "machine" / "learning_curve.png").is_file()
-    assert (trained / "machine" / "machine.pt").is_file()
-    assert not (trained / "oracle" / "machine.pt").exists()
-    trials = [load_trial(trained / name, periods=BRIEF) for name in ("machine", "oracle")]
+    assert (trained / "classifier" / "learning_curve.png").is_file()
+    assert (trained / "classifier" / "classifier.pt").is_file()
+    assert not (trained / "oracle" / "classifier.pt").exists()
+    trials = [load_trial(trained / name, periods=BRIEF) for name in ("classifier", "oracle")]
     trials.append(make_trial("pid", trials[0].task, periods=BRIEF))
     settings = transfer.TransferSettings(task=make_task(), episodes=2, folder=str(tmp_path))
     results = transfer.transfer(trials, settings)
@@ -84,7 +84,7 @@ def test_trained_gaits_are_tried_in_every_flow(trained: Path, tmp_path: Path) ->
     assert {"transfer.md", "transfer.json", *(f"{name}.png" for name in figures)} <= written
     assert name_arm(make_task(), None) == "macro-actions alone"
     direct = make_task(control=DirectFrequencies(frequencies=(0.5, 1.0)), observes=("place",))
-    assert name_arm(direct, "machine.pt") == "ablation"
+    assert name_arm(direct, Classifier(path="any")) == "ablation"
     shutil.copytree(trained / "oracle", tmp_path / "oracle")
     for file in (tmp_path / "oracle").rglob("*-actor/*"):
         file.write_bytes(b"other weights")
@@ -98,18 +98,20 @@ def list_learned(folder: Path) -> dict[str, str]:
 
 
 def test_a_run_with_a_lateral_line_goes_on_exactly(trained: Path, tmp_path: Path) -> None:
-    choice = make_machine(tmp_path / "m.pt")
+    choice = make_classifier(tmp_path / "m.pt")
     run(tmp_path, "name=part", "total_frames=24", recognition=choice)
     (tmp_path / "m.pt").unlink()
     (tmp_path / "part").rename(tmp_path / "moved")
     config = TRAINING.read([*SETTINGS, f"folder={tmp_path}"])
-    config = replace(config, recognition="machine.pt", resume=str(tmp_path / "moved"))
+    config = replace(
+        config, recognition=Classifier(path=str(tmp_path / "moved")), resume=str(tmp_path / "moved")
+    )
     resumed = complete(set_up(config))
     # the shorter run was evaluated at its end too, and the best of all evaluations is what counts
-    whole = json.loads((trained / "machine" / "summary.json").read_text())
+    whole = json.loads((trained / "classifier" / "summary.json").read_text())
     assert resumed["updates"] == whole["updates"] > 0
-    assert list_learned(tmp_path / "moved") == list_learned(trained / "machine")
-    assert read_rows(tmp_path / "moved")[-1] == read_rows(trained / "machine")[-1]
+    assert list_learned(tmp_path / "moved") == list_learned(trained / "classifier")
+    assert read_rows(tmp_path / "moved")[-1] == read_rows(trained / "classifier")[-1]
 
 
 def test_a_policy_of_predation_becomes_a_heading_controller(tmp_path: Path) -> None:

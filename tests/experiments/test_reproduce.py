@@ -57,7 +57,7 @@ def test_jobs_use_results_of_earlier_jobs(tmp_path: Path) -> None:
     assert record.is_finished(ablation)
     words = {job.name: job.words for job in list_jobs(scale, tmp_path)}
     assert f"runs=[{run}]" in words["transfer"]
-    assert f"recognition={tmp_path / 'classifier-2' / 'machine.pt'}" in words["both"]
+    assert f"recognition.path={tmp_path / 'classifier-2' / 'classifier.pt'}" in words["both"]
 
 
 def test_finished_job_is_repeated_only_if_settings_change(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def test_a_stored_task_that_names_no_coupling_keeps_the_immersed_boundary(tmp_pa
         evaluate.main.read([checkpoint]).task,
         evaluate.main.read([checkpoint, "task.time_limit=7"]).task,
         TRAINING.read([f"resume={tmp_path}"]).task,
-        load_plan(tmp_path)[1].task,
+        load_plan(tmp_path).task,
         Plan.from_config(read_config(tmp_path / "config.yaml")).task,
     ]
     assert {task.coupling for task in read} == {Coupling.IMPLICIT}

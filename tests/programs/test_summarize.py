@@ -16,11 +16,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fishrl.envs import Oracle
 from fishrl.programs import summarize
 from fishrl.programs.statistics import find_improvement, find_interquartile_mean
 from fishrl.programs.summarize import average, tabulate_differences
 from fishrl.programs.sweeps.groups import group_runs
 from fishrl.programs.sweeps.runs import read_run, read_runs
+from fishrl.settings import describe
+from fishrl.training import Classifier
 from fishrl.training.run_folder import HeldError, RunFolder, write_yaml
 
 ROOT = Path(__file__).parents[2]
@@ -94,20 +97,19 @@ def test_bootstrap_intervals_cover_the_truth_about_as_often_as_they_say() -> Non
 
 
 def test_runs_of_different_classifiers_are_different_groups(tmp_path: Path) -> None:
+    classifier = describe(Classifier(path="classifier.pt"))
     for name, content in (("a", b"1"), ("b", b"2"), ("c", b"1")):
-        path = write_run(tmp_path, name, recognition="machine.pt")
-        (path / "machine.pt").write_bytes(content)
-    write_run(tmp_path, "d", recognition="oracle")
-    write_run(tmp_path, "e", recognition="machine.pt")  # which is lost
+        path = write_run(tmp_path, name, recognition=classifier)
+        (path / "classifier.pt").write_bytes(content)
+    write_run(tmp_path, "d", recognition=describe(Oracle()))
+    write_run(tmp_path, "e", recognition=classifier)  # which is lost
     groups = group_runs(read_runs(tmp_path))
     assert [[run.path.name for run in group.runs] for group in groups] == [
         *(["a", "c"], ["b"], ["d"], ["e"])
     ]
     # sha256sum of the one byte
-    assert [group.label for group in groups] == [
-        *("recognition classifier 6b86b273", "recognition classifier d4735e3a"),
-        *("recognition oracle", "recognition machine.pt"),
-    ]
+    paths = [group.settings["recognition.path"] for group in groups]
+    assert paths[:3] == ["classifier 6b86b273", "classifier d4735e3a", "–"]
 
 
 def test_groups_are_labelled_by_the_fewest_settings(tmp_path: Path) -> None:

@@ -152,13 +152,13 @@ def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
     for file, width in ((files[0], 3), (files[2], 4)):
         make_classifier(hidden=[width]).save(file)
     files[1].write_bytes(files[0].read_bytes())
-    begin(tmp_path, f"recognition={files[0]}")
+    begin(tmp_path, f"recognition.path={files[0]}")
     for file, is_same in zip(files, (True, True, False), strict=True):
-        (job,) = plan_jobs([f"folder={tmp_path}", f"recognition={file}"])
+        (job,) = plan_jobs([f"folder={tmp_path}", f"recognition.path={file}"])
         if is_same:
             assert not find_result(job.settings)
         else:
-            with pytest.raises(ValueError, match="recognition = "):
+            with pytest.raises(ValueError, match="path = classifier "):
                 find_result(job.settings)
 
 
@@ -271,7 +271,7 @@ def test_jobs_that_cannot_be_set_up_are_all_named(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     write_yaml(tmp_path / "elsewhere.yaml", {})  # what else the folder holds does not matter
-    command = [f"folder={tmp_path}", "preset=gait_small", "recognition=none.pt", "seed=0,1"]
+    command = [f"folder={tmp_path}", "preset=gait_small", "recognition.path=none.pt", "seed=0,1"]
     assert run_sweep(*command) == 1
     assert all("none.pt" in run.reason for run in read_runs(tmp_path))
     said = capfd.readouterr()

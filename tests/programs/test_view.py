@@ -11,6 +11,7 @@ import imageio_ffmpeg
 import pytest
 from tests.programs.test_gait import SETTINGS
 
+from fishrl.envs import Oracle
 from fishrl.envs.scene import Frame
 from fishrl.programs import view
 from fishrl.programs.train import set_up
@@ -63,7 +64,7 @@ def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(tmp_path: Path) -> N
     settings = view.main.read(
         [f"checkpoint={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"]
     )
-    assert (settings.recognition, settings.preset) == ("oracle", "gait_small")
+    assert (settings.recognition, settings.preset) == (Oracle(), "gait_small")
     assert settings.task.body_length == 20
     assert settings.task.stream.speeds_bl == (1.0, 1.2, 1.4)
 

@@ -116,7 +116,8 @@ def test_errors_have_a_line_each_with_dotted_keys() -> None:
         ({"task": {}, "logger": {"sice": 3}}, "logger.size: has no default, so it must be given"),
         (
             {"task": {"gait": "wide-gate"}},
-            "task.gait = 'wide-gate': must be one of gait, wide-gait; did you mean 'wide-gait'?",
+            "task.gait = 'wide-gate': must be one of gait, wide-gait, or give task.gait.width=...; "
+            "did you mean 'wide-gait'?",
         ),
         ({"task": {"swim": "wide"}}, "task.swim: give gait=wide-gait"),
         ("Training", "give a _target_ and its arguments; got 'Training'"),
@@ -211,6 +212,14 @@ def test_a_word_stands_for_an_object_of_the_class_of_that_name() -> None:
     assert task == Task(gait=WideGait(), gaits=(Gait(), WideGait()))
     assert to_plain(task)["gait"] == {"_target_": f"{__name__}.WideGait", "speed": 2.0}
     assert build(Task, {"gait": {"_target_": "wide-gait", "speed": 4}}).gait == WideGait(speed=4)
+
+
+def test_arguments_of_one_class_alone_make_it() -> None:
+    assert build(Task, {"gait": {"width": 3}}).gait == GivenGait(width=3.0)
+    with pytest.raises(
+        ValueError, match=r"must be one of gait, wide-gait, or give gait\.width=\.\.\."
+    ):
+        build(Task, {"gait": "runs/gait.pt"})
 
 
 def test_a_setting_that_is_gone_names_what_replaces_it() -> None:

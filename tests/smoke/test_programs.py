@@ -184,7 +184,7 @@ def test_lateral_line_classifier_is_trained(tmp_path: Path) -> None:
     few = ["num_samples=96", "max_decisions=2", "num_envs=6", "num_epochs=2", "hidden=[8]"]
     places = [f"folder={tmp_path}", "name=line", f"data_folder={tmp_path / 'data'}"]
     _run("train-lateral-line", *few, *places, *_set_task(KINEMATIC), *EAGER)
-    assert (tmp_path / "line" / "machine.pt").is_file()
+    assert (tmp_path / "line" / "classifier.pt").is_file()
 
 
 @pytest.mark.slow  # runs every other program in a process of its own

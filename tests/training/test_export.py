@@ -27,7 +27,7 @@ def test_an_exported_policy_is_the_best_of_its_run_with_a_model_card(
     exported, best = load_policy(folder), load_policy(run)
     for one, other in zip(exported.parameters(), best.parameters(), strict=True):
         assert torch.equal(one, other)
-    assert load_plan(folder)[1].task == whole.task
+    assert load_plan(folder).task == whole.task
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
     assert size < 0.2 * sum(f.stat().st_size for f in run.rglob("*") if f.is_file())
     private = str(whole.folder.path.parent)  # where the run was

@@ -10,15 +10,13 @@ import pytest
 
 from fishrl.programs.summarize import summarize
 from fishrl.programs.sweeps.runs import read_run
-from fishrl.training import resume
-from fishrl.training.classifier import keep_recognition
+from fishrl.training import Classifier, resume
 from fishrl.training.export import export_policy
 from fishrl.training.loop import Training
-from fishrl.training.run_folder import read_config, write_yaml
 
 #: What trainings with other settings write, and what is there while one writes.
 OTHERS = (
-    *("output.log", "failure.txt", ".lock", "episode.rrd", "machine.pt", "wandb_id", "tensorboard"),
+    *("output.log", "failure.txt", ".lock", "episode.rrd", "classifier.pt", "wandb_id", "tensorboard"),
     *("checkpoints/.last.new", "checkpoints/..last.new", "learning_curve.png"),
 )
 SUMMARY = ("summary.md", "summary.csv", "runs.csv", "curves.png")
@@ -59,13 +57,9 @@ def test_a_summary_replaces_links(whole: Training, tmp_path: Path) -> None:
     assert (tmp_path / "key").read_text() == "private"
 
 
-def test_only_a_classifier_is_kept_as_one(whole: Training, tmp_path: Path) -> None:
+def test_only_a_classifier_is_kept_as_one(tmp_path: Path) -> None:
     key = tmp_path / "key"
     key.write_text("private")
     with pytest.raises(ValueError, match="cannot be read"):
-        keep_recognition(str(key), tmp_path)
-    run = copytree(whole.folder.path, tmp_path / "run")
-    write_yaml(run / "config.yaml", read_config(run / "config.yaml") | {"recognition": str(key)})
-    with pytest.raises(ValueError, match=r"a run keeps its classifier as machine\.pt"):
-        export_policy(run, tmp_path / "policy")
-    assert not (tmp_path / "machine.pt").exists() and not (tmp_path / "policy").exists()
+        Classifier(path=str(key)).keep(tmp_path)
+    assert not (tmp_path / "classifier.pt").exists()

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from fishrl.envs import PredictedFlowLabel, TrueFlowLabel
+from fishrl.envs import Oracle, PredictedFlowLabel, TrueFlowLabel
 from fishrl.training import Algorithm, Callback, DiscreteSAC, evaluate, load_plan, load_policy
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
@@ -44,8 +44,8 @@ def test_flows_are_labelled_as_in_the_run_unless_another_source_is_named(
             types = {type(transform) for transform in env.transform}
             labelled_by.append(types & {PredictedFlowLabel, TrueFlowLabel})
 
-    given = {"task": replace(load_plan(run)[1].task, time_limit=2)} if is_task_given else {}
-    for source in ({}, {"recognition": "oracle"}, {"recognition": None}):
+    given = {"task": replace(load_plan(run).task, time_limit=2)} if is_task_given else {}
+    for source in ({}, {"recognition": Oracle()}, {"recognition": None}):
         evaluate(run, **given, **source, episodes=1, compile=False, callbacks=[Labels()])
     assert labelled_by == [{PredictedFlowLabel}, {TrueFlowLabel}, set()]
 

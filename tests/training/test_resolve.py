@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from fishrl.envs import KarmanGait, Predation, make_env
+from fishrl.envs import KarmanGait, Oracle, Predation, make_env
 from fishrl.envs.streams import Stream
 from fishrl.physics import InPlaceSolver
 from fishrl.training import Plan
@@ -18,7 +18,7 @@ from tests.training.conftest import Toy
 
 def test_a_baseline_with_wakes_is_checked_without_developing_them(tmp_path: Path) -> None:
     task = KarmanGait(stream=Stream(wake_folder=str(tmp_path / "wakes")))
-    resolved = resolve(Plan(task=task, baselines=("shedding",), recognition="oracle"))
+    resolved = resolve(Plan(task=task, baselines=("shedding",), recognition=Oracle()))
     assert resolved.baselines == ("shedding",)
     assert resolved.task == task.read_flow_labels() and resolved.task != task
     assert not list(tmp_path.iterdir())
@@ -40,7 +40,7 @@ def test_a_wrong_observation_size_is_reported_before_the_compile(
     [
         ({"baselines": ("randm",)}, "did you mean 'random'"),
         ({"device": "cuda:99"}, "CUDA devices"),
-        ({"recognition": "oracle"}, "no flows to tell apart"),
+        ({"recognition": Oracle()}, "no flows to tell apart"),
         ({"hidden": (10**6, 10**6)}, "networks .* GB.* more than the .* GB of cpu; lower"),
         ({"buffer_size": 10**12}, "buffer .* GB: more than the .* GB of cpu"),
     ],
@@ -56,7 +56,7 @@ def test_a_run_with_invalid_settings_leaves_no_folder(
 def test_labels_lengthen_the_observation_of_the_policy() -> None:
     task = KarmanGait(observes=("place", "flow_label"))
     without, with_labels = (
-        resolve(Plan(task=task, recognition=choice)) for choice in (None, "oracle")
+        resolve(Plan(task=task, recognition=choice)) for choice in (None, Oracle())
     )
     num_flows = len(task.flow_labels)
     assert with_labels.spec.num_observed == without.spec.num_observed + num_flows

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import KarmanGait, Predation, make_env
+from fishrl.envs import KarmanGait, Oracle, Predation, make_env
 from fishrl.envs.scene import Ending, Frame
 from fishrl.viewer import Recording, make_env_scene, name_flows, record_episodes
 from fishrl.viewer.recording import Recorder
@@ -128,8 +128,8 @@ def test_gpu_flows_are_recorded_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.usefixtures("kinematic")
-@pytest.mark.parametrize("recognition", [None, "oracle"])
-def test_plots_of_missing_outputs_are_omitted(recognition: str | None) -> None:
+@pytest.mark.parametrize("recognition", [None, Oracle()])
+def test_plots_of_missing_outputs_are_omitted(recognition: Oracle | None) -> None:
     task = KarmanGait(**{**SMALL, "wall_margin_bl": 0.25})
     env = make_env(task=task, num_envs=1, compile=False, recognition=recognition)
     scene = make_env_scene(env, field="pressure", field_limit=7.0)

@@ -1,15 +1,15 @@
 """Groups of runs that differ only in their seed and in harmless settings."""
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from fishrl.programs.sweeps.runs import Run
 from fishrl.programs.train_settings import TrainConfig
 from fishrl.settings import TARGET, Role, flatten, list_fields
-from fishrl.training.run_folder import RunFolder
+from fishrl.training.recognition import name_content
 
 #: Settings that do not separate groups: those that do not change what is learned.
 _APART = {"seed"} | {
@@ -103,7 +103,6 @@ def _settings_of(run: Run) -> dict[str, str]:
         key: str(value).rpartition(".")[2] if key.endswith(TARGET) else str(value)
         for key, value in config.items()
     }
-    own = RunFolder(run.path).classifier
-    if flat.get("recognition") == own.name and own.is_file():
-        flat["recognition"] = f"classifier {hashlib.sha256(own.read_bytes()).hexdigest()[:8]}"
+    if "recognition.path" in flat:
+        flat["recognition.path"] = name_content(Path(flat["recognition.path"]))
     return flat

@@ -107,12 +107,12 @@ def test_program_writes_numbers_figures_and_a_classifier_that_the_task_takes(
     settings, task = make_settings(num_epochs=10, paper_epochs=3), make_task()
     fits = train_lateral_line(settings, make_episodes(), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {
-        *("lateral_line.json", "machine.pt", "curves.png", "confusion.png")
+        *("lateral_line.json", "classifier.pt", "curves.png", "confusion.png")
     }
     findings, table = json.loads((tmp_path / "lateral_line.json").read_text()), tabulate(fits)
     assert findings["chance"] == 0.5
     for name in ("classifier", "paper"):
         assert f"{findings[name]['held_out_accuracy']:.1%}" in table
-    classifier = LateralLineClassifier.load(tmp_path / "machine.pt")
+    classifier = LateralLineClassifier.load(tmp_path / "classifier.pt")
     classifier.check(flows=task.flow_labels, sensors=task.lateral_line_layout)
     assert classifier.features == list(LOCAL)
