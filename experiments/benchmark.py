@@ -19,7 +19,7 @@ from experiments.benchmarks import environment, flows
 from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import BenchmarkSettings, Results, measure
 from experiments.benchmarks.plots import write_plots
-from experiments.benchmarks.report import render, write_page
+from experiments.benchmarks.report import render_results, write_page
 from fishrl.programs.configuration import unknown
 from fishrl.programs.program import program
 
@@ -61,7 +61,7 @@ def main(settings: BenchmarkSettings) -> None:
     results = run(settings)
     results.save(folder / "results.json")
     write_plots(results, folder)
-    print(render(results))
+    print(render_results(results))
     if settings.docs is not None:
         docs = Path(settings.docs)
         figures = write_plots(results, docs / "figures" / "benchmark")

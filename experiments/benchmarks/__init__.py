@@ -1,1 +1,1 @@
-"""The benchmark: the measuring loop, its cases, report."""
+"""Benchmarks of solver, environment and training."""

@@ -1,7 +1,7 @@
-"""Cases beyond the flow: the environment, and a training run.
+"""Benchmarks of the environment and of training.
 
-One action lasts a tail beat, by the environment alone and with its transforms, resets and a policy.
-No episode ends meanwhile. Tests give another task and other ``options`` of ``make_env``.
+An action lasts one tail beat, and no episode ends during a burst. ``options`` are arguments of
+``make_env``.
 """
 
 import time
@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torchrl.envs import ExplorationType, set_exploration_type
 
-from experiments.benchmarks.measuring import BenchmarkSettings, Case
+from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings
 from fishrl.envs import Predation, make_env
 from fishrl.modules import make_actor
 from fishrl.torch_state import one_thread
@@ -25,22 +25,22 @@ NUM_ENVS = 16
 
 
 def make_task(settings: BenchmarkSettings) -> Predation:
-    """Return the task of preset ``small``, at its relaxation time also where L / 2 is not 50."""
+    """Return the task of preset ``small`` with L / 2 and the same relaxation time."""
     length = settings.body_length // 2
     return Predation(body_length=length, reynolds=140.0 * length)
 
 
-def make_case(base: Any, label: str, what: str, advance: Any, **options: Any) -> Case:
-    """Return bursts of one action of all flows of an environment."""
+def make_action(base: Any, label: str, what: str, advance: Any, **options: Any) -> Benchmark:
+    """Return the benchmark of one action in all flows of an environment."""
     flow = base.solver.config
     name = f"{base.batch_size[0]} × {flow.width} × {flow.height}, {what}"
-    return Case(label=label, name=name, advance=advance, num_steps=1, **options)
+    return Benchmark(label=label, name=name, advance=advance, num_steps=1, **options)
 
 
 def make_overhead(
     settings: BenchmarkSettings, *, task: Any = None, num_envs: int = NUM_ENVS, **options: Any
-) -> list[Case]:
-    """Make one action of all flows, and measure which share of it is spent outside the flow."""
+) -> list[Benchmark]:
+    """Return benchmarks of an action, which measure its share of time outside the flow."""
     task = task or make_task(settings)
     middle = task.starts_from(torch.full((1, task.num_draws), 0.5, dtype=torch.float64))
     env = make_env(task=task, num_envs=num_envs, starts=middle, **options)
@@ -58,7 +58,7 @@ def make_overhead(
         state[0] = env.reset()
 
     def act() -> None:
-        """Step the whole environment as a collector does, with an action of the policy."""
+        """Step the environment with an action of the policy, as a collector does."""
         with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
             _, state[0] = env.step_and_maybe_reset(policy(state[0]))
 
@@ -76,7 +76,7 @@ def make_overhead(
         return {"outside_flow": 1.0 - spent[0] / (time.perf_counter() - start)}
 
     base.solver.advance_ = time_flow
-    make = partial(make_case, base, prepare=prepare)
+    make = partial(make_action, base, prepare=prepare)
     return [
         make("env/env", "environment", partial(run_env, act=step)),
         make("env/policy", "environment, transforms and policy", partial(run_env, act=act)),
@@ -89,8 +89,8 @@ def make_training(
     task: Any = None,
     learning: LearningSettings | None = None,
     **options: Any,
-) -> list[Case]:
-    """Make a gradient step, and a frame of all flows with the gradient steps it brings."""
+) -> list[Benchmark]:
+    """Return benchmarks of a gradient step, and of a frame with its gradient steps."""
     task, learning = task or make_task(settings), learning or LearningSettings(num_envs=NUM_ENVS)
     learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), learning)
     env = make_env(task=task, num_envs=learning.num_envs, **options)
@@ -121,5 +121,5 @@ def make_training(
         collect()
     name = f"gradient step, {learning.batch_size} transitions"
     what = f"frame of all flows, {num_updates} gradient steps"
-    gradient = Case(label="train/gradient", name=name, advance=learn)
-    return [gradient, make_case(env.base_env, "train/frame", what, run)]
+    gradient = Benchmark(label="train/gradient", name=name, advance=learn)
+    return [gradient, make_action(env.base_env, "train/frame", what, run)]

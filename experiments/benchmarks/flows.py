@@ -1,4 +1,4 @@
-"""Cases of the flow: without and with fish, by size, batch and device; memory and compilation."""
+"""Benchmarks of flows by size, batch and device; of memory and compilation."""
 
 import gc
 import multiprocessing
@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from experiments.benchmarks import measuring
-from experiments.benchmarks.measuring import BenchmarkSettings, Case, repeat
+from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings, repeat
 from fishrl.physics import Boundaries, InPlaceSolver, Scales
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 
@@ -43,12 +43,14 @@ def make_solver(
     return solver
 
 
-def make_case(solver: InPlaceSolver, label: str, how: str, *, num_flows: int | None = None) -> Case:
-    """Return the whole step of a solver's flows, by default of all of them."""
+def make_case(
+    solver: InPlaceSolver, label: str, how: str, *, num_flows: int | None = None
+) -> Benchmark:
+    """Return the benchmark of a step of the first ``num_flows`` flows, by default of all."""
     config, num_flows = solver.config, num_flows or solver.num_envs
     is_first = torch.arange(solver.num_envs) < num_flows
     populations = sum(tensor.nbytes for tensor in solver.state_dict().values())
-    return Case(
+    return Benchmark(
         label=label,
         name=f"{num_flows} × {config.width} × {config.height}, {how}",
         num_nodes=num_flows * config.width * config.height,
@@ -60,29 +62,29 @@ def make_case(solver: InPlaceSolver, label: str, how: str, *, num_flows: int | N
     )
 
 
-def make_kernel_case(solver: InPlaceSolver, label: str, how: str) -> Case:
-    """Return the collision alone: the calls of an even and an odd step, over and over."""
+def make_kernel_case(solver: InPlaceSolver, label: str, how: str) -> Benchmark:
+    """Return the benchmark of the collision alone, in even and odd steps."""
     case, (collide, arguments) = make_case(solver, label, how), solver.list_calls()[0]
     case.scope = measuring.KERNEL
     case.advance = repeat(*(partial(collide.run, *given) for given in arguments))
     return case
 
 
-def make_copy(label: str, num_nodes: int, device: str = "cpu") -> Case:
-    """Return the copy of nine populations, which moves as many bytes as a step in two buffers."""
+def make_copy(label: str, num_nodes: int, device: str = "cpu") -> Benchmark:
+    """Return the benchmark of a copy of nine populations, as in a step with two buffers."""
     source = torch.ones(9 * num_nodes, device=device)
-    return Case(
+    return Benchmark(
         label=label, name=f"copy of {source.nbytes / 1e6:.0f} MB", scope=measuring.PROBE,
         advance=repeat(partial(torch.empty_like(source).copy_, source)), num_nodes=num_nodes,
         working_set=2 * source.nbytes,
     )  # fmt: skip
 
 
-def make_probes(settings: BenchmarkSettings) -> list[Case]:
-    """Make the ceilings at the size of the large case: a copy, and nine arrays scaled in place.
+def make_probes(settings: BenchmarkSettings) -> list[Benchmark]:
+    """Return upper bounds at the size of the large flow: a copy, and nine arrays scaled in place.
 
-    The second moves as many bytes as a step in one buffer; on a CPU it is faster, as it writes only
-    what is in the cache already.
+    The second moves the bytes of a step in one buffer; on a CPU it is faster, since it writes to
+    cached memory.
     """
     num_nodes = 50 * settings.body_length**2
     arrays = torch.ones(9, num_nodes)
@@ -91,7 +93,7 @@ def make_probes(settings: BenchmarkSettings) -> list[Case]:
         for array in arrays:
             array.mul_(factor)
 
-    in_place = Case(
+    in_place = Benchmark(
         label="probe/in place", name=f"nine arrays of {arrays.nbytes / 9e6:.1f} MB scaled in place",
         scope=measuring.PROBE, advance=repeat(partial(scale, 1.25), partial(scale, 0.8)),
         num_nodes=num_nodes, working_set=arrays.nbytes,
@@ -99,8 +101,8 @@ def make_probes(settings: BenchmarkSettings) -> list[Case]:
     return [make_copy("probe/copy", num_nodes), in_place]
 
 
-def make_swimmers(settings: BenchmarkSettings, *, has_fish: bool = True) -> list[Case]:
-    """Make one flow from L / 4 to 2 L, one on a single core, and batches at L / 2."""
+def make_swimmers(settings: BenchmarkSettings, *, has_fish: bool = True) -> list[Benchmark]:
+    """Return benchmarks of one flow from L / 4 to 2 L, of one core, and of batches at L / 2."""
     large, what, cases = settings.body_length, "fish" if has_fish else "walls", []
     for size, length, how, batches, num_workers in (
         ("small", large // 4, settings.cores, (1,), 0),
@@ -122,8 +124,8 @@ def make_swimmers(settings: BenchmarkSettings, *, has_fish: bool = True) -> list
     return cases
 
 
-def make_flows(settings: BenchmarkSettings) -> list[Case]:
-    """Make the flow alone: its kernel, a periodic step, steps with walls."""
+def make_flows(settings: BenchmarkSettings) -> list[Benchmark]:
+    """Return benchmarks without bodies: kernel, periodic step, steps with walls."""
     periodic = make_solver(settings.body_length, has_fish=False, boundaries=PERIODIC)
     step = make_case(periodic, "large/periodic", settings.cores)
     step.scope = measuring.PERIODIC
@@ -131,10 +133,10 @@ def make_flows(settings: BenchmarkSettings) -> list[Case]:
     return [kernel, step, *make_swimmers(settings, has_fish=False)]
 
 
-def make_gpu(settings: BenchmarkSettings) -> list[Case]:
-    """Make a batch that fills the card, with and without a fish in each, and a copy of its size.
+def make_gpu(settings: BenchmarkSettings) -> list[Benchmark]:
+    """Return benchmarks of a large batch on a GPU, with and without fish, and of a copy.
 
-    Without a GPU there are no cases.
+    The list is empty without a GPU.
     """
     if not torch.cuda.is_available():
         return []
@@ -148,21 +150,23 @@ def make_gpu(settings: BenchmarkSettings) -> list[Case]:
     ]
 
 
-def make_compilation(settings: BenchmarkSettings) -> list[Case]:
-    """Measure the time until the first step with nothing kept, then with everything kept."""
+def make_compilation(settings: BenchmarkSettings) -> list[Benchmark]:
+    """Measure the time to the first step with an empty cache, then with a full one."""
     cases, spawn = [], multiprocessing.get_context("spawn")  # a fork of one with threads may hang
     with tempfile.TemporaryDirectory(prefix="fishrl-compile-") as folder:
-        for label, name in (("cold", "nothing is kept"), ("warm", "everything is kept")):
+        for label, name in (("cold", "empty cache"), ("warm", "full cache")):
             with ProcessPoolExecutor(1, mp_context=spawn) as process:
                 job = process.submit(time_compilation, settings.body_length // 2, folder)
                 measured = {"seconds": [job.result()]}
-                case = Case(label=f"compile/{label}", name=name, num_steps=0, measured=measured)
+                case = Benchmark(
+                    label=f"compile/{label}", name=name, num_steps=0, measured=measured
+                )
                 cases.append(case)
     return cases
 
 
 def time_compilation(body_length: int, folder: str) -> float:
-    """Return the seconds to compile the step with a fish in this process, kept in a folder."""
+    """Return the seconds to compile the step with a fish, with its cache in a folder."""
     os.environ["TORCHINDUCTOR_CACHE_DIR"] = folder
     start = time.perf_counter()
     make_solver(body_length, has_fish=True).advance_(2)
@@ -170,7 +174,7 @@ def time_compilation(body_length: int, folder: str) -> float:
 
 
 def count_tensor_bytes() -> int:
-    """Return the bytes of all storages that tensors of this process hold, each once."""
+    """Return the bytes of all distinct storages of tensors in this process."""
     gc.collect()
     storages = {}
     for thing in gc.get_objects():

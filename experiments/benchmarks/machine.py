@@ -1,4 +1,4 @@
-"""Description of the machine that something was measured on."""
+"""Description of the machine on which measurements were made."""
 
 import platform
 from importlib.metadata import version
@@ -14,7 +14,7 @@ PACKAGES = ("torchrl", "tensordict", "numpy")
 
 
 def describe_machine() -> dict[str, Any]:
-    """Name processor, caches, GPU, versions and other load."""
+    """Return processor, caches, GPU, versions and load average."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
@@ -32,7 +32,7 @@ def describe_machine() -> dict[str, Any]:
 
 
 def read_caches(folder: Path = Path("/sys/devices/system/cpu/cpu0/cache")) -> dict[str, int]:
-    """Return the bytes of each data cache of the first core by level, such as L2; Linux only."""
+    """Return the bytes of each data cache of the first core by level (Linux only)."""
     sizes = {}
     for entry in sorted(folder.glob("index*")):
         kind, level, size = ((entry / n).read_text().strip() for n in ("type", "level", "size"))

@@ -1,8 +1,8 @@
-"""The measuring loop: short bursts of all cases in turn, each case once per round.
+"""The measuring loop: in each round, a short burst of every benchmark.
 
-Other load on the machine slows all cases of a round, so speeds are compared round by round. A burst
-starts after the threads of the previous one sleep, with untimed steps that fill the caches and wake
-its own threads.
+Other load on the machine slows all benchmarks of a round, so that ratios are taken per round. A
+burst begins when the threads of the previous one sleep, with untimed steps that fill the caches and
+wake its threads.
 """
 
 import json
@@ -21,29 +21,29 @@ from fishrl.limits import count_cores
 from fishrl.settings import Settings
 
 _PAUSE = 0.01  # seconds; threads of GNU's OpenMP were seen to spin for four milliseconds
-_WARM_UP = 4  # such a part of a burst runs before it and is not timed
+_WARM_UP = 4  # ratio of the timed to the untimed steps of a burst
 
-KERNEL = "kernel"  # the pass over all nodes alone, without edges
-PERIODIC = "periodic"  # a whole step with periodic edges
-WALLS = "with walls"  # a whole step with boundary conditions on all four sides
+KERNEL = "kernel"  # the pass over all nodes, without edges
+PERIODIC = "periodic"  # a step with periodic edges
+WALLS = "with walls"  # a step with boundary conditions on all four sides
 FISH = "with fish"  # the same with a swimming fish in each flow
-PROBE = "memory"  # no flow: the speed of the memory
+PROBE = "memory"  # the bandwidth of the memory
 
 
 class BenchmarkSettings(Settings):
-    """What to measure, and where to write it.
+    """Settings of a run.
 
     Args:
-        body_length: L of the large case, whose tank is 10 L x 5 L; others have L / 2 and L / 4.
+        body_length: L of the large flow, in a tank of 10 L x 5 L; others have L / 4 to 2 L.
         threads: cores to use.
-        rounds: number of bursts of every case.
-        burst: seconds that a burst should take.
-        groups: groups of measurements; by default all.
-        folder: folder of results and figures.
-        docs: folder of the page that the results are also put into.
+        rounds: bursts of every benchmark.
+        burst: duration of a burst, seconds.
+        groups: groups of benchmarks; by default all.
+        folder: folder for results and figures.
+        docs: folder of the documentation whose page receives the results.
     """
 
-    body_length: Annotated[int, Field(ge=80)] = 100  # at least 16 nodes in a small case too
+    body_length: Annotated[int, Field(ge=80)] = 100  # L / 4 of at least 16 nodes
     threads: PositiveInt = count_cores()
     rounds: Annotated[int, Field(ge=2)] = 15
     burst: PositiveFloat = 0.1
@@ -58,50 +58,50 @@ class BenchmarkSettings(Settings):
 
 
 @dataclass(kw_only=True)
-class Case:
-    """What is advanced, and what was measured."""
+class Benchmark:
+    """Steps to be timed, and the measurements."""
 
-    label: str  #: by which goals and figures find it, such as "large/walls"
-    name: str  #: the case in words
-    advance: Any = None  #: runs so many steps, and may return further numbers ``dict[str, float]``
-    prepare: Any = None  #: is called before each burst and not timed
-    scope: str = ""  #: how much of a step it is: kernel, periodic, with walls, with fish
-    num_nodes: int = 0  #: node updates of one step, all flows together
-    working_set: int = 0  #: bytes that a step goes through
-    #: bytes that a node update moves if each population is read and written once
+    label: str  #: key for goals and figures, such as "large/walls"
+    name: str  #: description
+    advance: Any = None  #: called with the number of steps; may return ``dict[str, float]``
+    prepare: Any = None  #: called before each burst, untimed
+    scope: str = ""  #: part of a step: kernel, periodic, with walls, with fish
+    num_nodes: int = 0  #: node updates of one step in all flows
+    working_set: int = 0  #: bytes that a step accesses
+    #: bytes of a node update if each population is read and written once
     bytes_per_update: int = 72
-    num_steps: int | None = None  #: of a burst; None: an even number that fills it; 0: no bursts
-    facts: dict[str, Any] = field(default_factory=dict)  #: numbers known in advance, and words
-    #: by round, "seconds" of one step and further numbers
+    num_steps: int | None = None  #: steps per burst; None fills its duration, 0 times nothing
+    facts: dict[str, Any] = field(default_factory=dict)  #: properties known in advance
+    #: by round: "seconds" of one step, and the numbers that ``advance`` returns
     measured: dict[str, list[float]] = field(default_factory=dict)
-    group: str = ""  #: the group of measurements
+    group: str = ""  #: key of ``GROUPS``
 
 
 @dataclass(kw_only=True)
 class Results:
-    """Everything that a run has found."""
+    """The measurements of a run."""
 
     machine: dict[str, Any]
     settings: dict[str, Any]
-    cases: list[Case] = field(default_factory=list)
+    cases: list[Benchmark] = field(default_factory=list)
 
-    def find(self, label: str) -> Case | None:
-        """Return the case with a label if it was measured."""
+    def find(self, label: str) -> Benchmark | None:
+        """Return the benchmark with a label, if any."""
         return next((case for case in self.cases if case.label == label), None)
 
-    def of_group(self, group: str) -> list[Case]:
-        """Return the cases of a group."""
+    def of_group(self, group: str) -> list[Benchmark]:
+        """Return the benchmarks of a group."""
         return [case for case in self.cases if case.group == group]
 
     def save(self, path: Path) -> None:
-        """Write everything as JSON."""
+        """Write the results as JSON."""
         cases = [vars(case) | {"advance": None, "prepare": None} for case in self.cases]
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, json.dumps(vars(self) | {"cases": cases}, indent=1))
 
 
-def measure(cases: Sequence[Case], settings: BenchmarkSettings) -> None:
-    """Time all cases in turn."""
+def measure(cases: Sequence[Benchmark], settings: BenchmarkSettings) -> None:
+    """Time all benchmarks in turn."""
     lengths = [
         find_length(case, settings.burst) for case in tqdm(cases, desc="preparing", disable=None)
     ]
@@ -111,8 +111,8 @@ def measure(cases: Sequence[Case], settings: BenchmarkSettings) -> None:
                 case.measured.setdefault(name, []).append(value)
 
 
-def time_burst(case: Case, num_steps: int) -> dict[str, float]:
-    """Return the seconds of one step, and further numbers of the burst."""
+def time_burst(case: Benchmark, num_steps: int) -> dict[str, float]:
+    """Return the seconds of one step, and the numbers that ``advance`` returns."""
     time.sleep(_PAUSE)
     if case.prepare:
         case.prepare()
@@ -130,11 +130,11 @@ def _synchronize() -> None:
         torch.cuda.synchronize()
 
 
-def find_length(case: Case, burst: float) -> int:
-    """Return how many steps fill a burst of some seconds."""
+def find_length(case: Benchmark, burst: float) -> int:
+    """Return the number of steps in a burst of ``burst`` seconds."""
     num_steps = 2 if case.num_steps is None else case.num_steps
     if num_steps:
-        time_burst(case, num_steps)  # may compile, or touch memory for the first time
+        time_burst(case, num_steps)  # compilation and first use of memory
     while case.num_steps is None:
         spent = time_burst(case, num_steps)["seconds"] * num_steps
         if spent >= 0.5 * burst or num_steps >= 1_000_000:
@@ -144,7 +144,7 @@ def find_length(case: Case, burst: float) -> int:
 
 
 def repeat(*calls: Callable[[], object]) -> Callable[[int], None]:
-    """Return what makes one of some calls per step, in turn."""
+    """Return a function of ``num_steps`` that makes the calls in turn, one per step."""
 
     def advance(num_steps: int) -> None:
         for _ in range(num_steps // len(calls)):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from matplotlib.patches import Patch
 
-from experiments.benchmarks.measuring import FISH, KERNEL, PERIODIC, WALLS, Case, Results
+from experiments.benchmarks.measuring import FISH, KERNEL, PERIODIC, WALLS, Benchmark, Results
 from experiments.benchmarks.report import measure_speed
 from fishrl.programs.figures.style import COLOURS, panels
 
@@ -13,7 +13,7 @@ SCOPES = {KERNEL: COLOURS[4], PERIODIC: COLOURS[0], WALLS: COLOURS[2], FISH: COL
 
 
 def write_plots(results: Results, folder: Path) -> dict[Path, str]:
-    """Draw what was measured as PNGs in a folder, and return the files and their captions."""
+    """Write figures of the results into a folder; return their files and captions."""
     folder.mkdir(parents=True, exist_ok=True)
     bandwidth, scaling = folder / "roofline.png", folder / "scaling.png"
     written = {}
@@ -26,12 +26,12 @@ def write_plots(results: Results, folder: Path) -> dict[Path, str]:
     return written
 
 
-def measure_bandwidth(case: Case) -> tuple[float, ...]:
-    """Return the GB/s that the updates move if each population is read and written once."""
+def measure_bandwidth(case: Benchmark) -> tuple[float, ...]:
+    """Return the bandwidth in GB/s if each population is read and written once."""
     return tuple(1e-3 * case.bytes_per_update * speed for speed in measure_speed(case))
 
 
-def write_bandwidth(cases: Sequence[Case], results: Results, path: Path) -> None:
+def write_bandwidth(cases: Sequence[Benchmark], results: Results, path: Path) -> None:
     """Draw the bandwidth of each step next to a copy and an in-place pass."""
     cases = sorted(cases, key=lambda case: measure_bandwidth(case)[1])
     with panels(path, size=(9.0, 1.6 + 0.27 * len(cases))) as [[axes]]:
@@ -57,7 +57,7 @@ def write_bandwidth(cases: Sequence[Case], results: Results, path: Path) -> None
         axes.grid(axis="y", visible=False)
 
 
-def write_scaling(cases: Sequence[Case], caches: dict[str, int], path: Path) -> None:
+def write_scaling(cases: Sequence[Benchmark], caches: dict[str, int], path: Path) -> None:
     """Draw speed against the size of the grid and against the number of flows."""
     batch = [case for case in cases if case.label.startswith("batch")]
     grid = [case for case in cases if case not in batch and case.label != "single/fish"]

@@ -1,4 +1,4 @@
-"""The tables of a run in Markdown: goals and whether they are met, speeds, costs."""
+"""Tables of a run in Markdown: goals, speeds, costs."""
 
 from collections.abc import Callable, Container, Sequence
 from functools import partial
@@ -7,44 +7,44 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.benchmarks.measuring import Case, Results
+from experiments.benchmarks.measuring import Benchmark, Results
 from fishrl.files import write_whole
 from fishrl.pages import write_table
 
 BEGIN, END = (f"<!-- measured: {mark} -->" for mark in ("begin", "end"))
 
 
-class Spread(NamedTuple):
-    """A median between its quartiles."""
+class Quartiles(NamedTuple):
+    """The median and the quartiles of some values."""
 
     low: float
     median: float
     high: float
 
     def show(self, digits: int = 2) -> str:
-        """Return them such as "1.80 [1.79, 1.81]"; one number where they agree."""
+        """Return "1.80 [1.79, 1.81]", or one number if all three agree."""
         low, median, high = (f"{value:.{digits}f}" for value in self)
         return median if low == median == high else f"{median} [{low}, {high}]"
 
 
-def spread(values: Sequence[float] | np.ndarray) -> Spread:
+def find_quartiles(values: Sequence[float] | np.ndarray) -> Quartiles:
     """Return the median and the quartiles of some values."""
-    return Spread(*np.quantile(values, (0.25, 0.5, 0.75)).tolist())
+    return Quartiles(*np.quantile(values, (0.25, 0.5, 0.75)).tolist())
 
 
-def measure_speed(case: Case) -> Spread:
+def measure_speed(case: Benchmark) -> Quartiles:
     """Return million node updates per second (MLUPS)."""
-    return spread(1e-6 * case.num_nodes / np.array(case.measured["seconds"]))
+    return find_quartiles(1e-6 * case.num_nodes / np.array(case.measured["seconds"]))
 
 
-def compare(ours: Case, theirs: Case) -> Spread:
-    """Return how many times faster one case is per node update, round by round."""
+def compare_speeds(ours: Benchmark, theirs: Benchmark) -> Quartiles:
+    """Return the ratio of the speeds per node update, over the rounds."""
     a, b = (np.array(case.measured["seconds"]) / case.num_nodes for case in (ours, theirs))
-    return spread(b / a)
+    return find_quartiles(b / a)
 
 
-#: What is measured; its target; the label of a case whose speed per node update is divided by that
-#: of another (≥), or the name of a measured number (≤); the label of the other, or of its case.
+#: Quantity and target; then, for a least speed ratio (≥), the labels of both benchmarks, or for an
+#: upper bound (≤) the name of the measured number and the label of its benchmark.
 GOALS = (
     ("GPU, bulk / copy", "≥ 0.9 ×", "gpu/kernel", "gpu/copy"),
     ("GPU, whole step with fish / copy", "≥ 0.75 ×", "gpu/fish", "gpu/copy"),
@@ -57,7 +57,7 @@ GOALS = (
 
 
 def list_goals(results: Results) -> list[list[str]]:
-    """Return each quantity, its target, what was measured, and whether the median meets it."""
+    """Return each goal with target, measured value, and whether the median meets it."""
     lines = []
     for what, target, quantity, label in GOALS:
         (sign, bound, unit), case = target.split(), results.find(label)
@@ -65,39 +65,39 @@ def list_goals(results: Results) -> list[list[str]]:
         line = [what, target, "–", "not measured"]
         if case and ours:
             if sign == "≥":
-                found = compare(ours, case)
+                found = compare_speeds(ours, case)
                 is_met = found.median >= float(bound)
             else:
                 factor = {"%": 100.0, "ms": 1e3}.get(unit, 1.0)
-                found = spread(factor * np.array(case.measured[quantity]))
+                found = find_quartiles(factor * np.array(case.measured[quantity]))
                 is_met = found.median <= float(bound)
             line[2:] = [f"{found.show()} {unit}", "met" if is_met else "MISSED"]
         lines.append(line)
     return lines
 
 
-Cell = Callable[[Case, Results], str | None]
+Cell = Callable[[Benchmark, Results], str | None]
 
 
 def _number(name: str, digits: int, factor: float = 1.0) -> Cell:
-    def show(case: Case, results: Results) -> str | None:
+    def show(case: Benchmark, results: Results) -> str | None:
         values = case.measured.get(name)
-        return spread(factor * np.array(values)).show(digits) if values else None
+        return find_quartiles(factor * np.array(values)).show(digits) if values else None
 
     return show
 
 
-def _over(label: str, case: Case, results: Results) -> str | None:
+def _over(label: str, case: Benchmark, results: Results) -> str | None:
     other = results.find(label)
-    return f"{compare(case, other).median:.2f}" if other else None
+    return f"{compare_speeds(case, other).median:.2f}" if other else None
 
 
-def _price(case: Case, results: Results) -> str:
-    seconds = spread(case.measured["seconds"]).median
+def _price(case: Benchmark, results: Results) -> str:
+    seconds = find_quartiles(case.measured["seconds"]).median
     return f"{seconds * case.facts['period'] / case.facts['flows']:.2f}"
 
 
-#: What each column shows of a case; nothing is shown as a dash.
+#: Content of each column; None is shown as a dash.
 COLUMNS: dict[str, Cell] = {
     "case": lambda case, _: case.name,
     "what": lambda case, _: case.scope,
@@ -105,7 +105,7 @@ COLUMNS: dict[str, Cell] = {
     "/ copy": partial(_over, "probe/copy"),
     "/ copy on the GPU": partial(_over, "gpu/copy"),
     "memory, B / node": _number("bytes", 1),
-    "µs / step": lambda case, _: f"{1e6 * spread(case.measured['seconds']).median:.0f}",
+    "µs / step": lambda case, _: f"{1e6 * find_quartiles(case.measured['seconds']).median:.0f}",
     "s / T and flow": _price,
     "ms": _number("seconds", 2, 1e3),
     "share outside the flow, %": _number("outside_flow", 2, 100.0),
@@ -128,11 +128,11 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
 )
 
 
-#: Groups whose tables the page has; the goals sum up the others.
+#: Groups whose tables are on the page; the goals summarise the others.
 PAGE = ("solver", "coupled", "gpu")
 
 
-def render(results: Results, groups: Container[str] | None = None) -> str:
+def render_results(results: Results, groups: Container[str] | None = None) -> str:
     """Return a description of the run, its goals and the tables of some groups, by default all."""
     goals = write_table(("goal", "target", "measured", "result"), list_goals(results))
     tables = [f"### Goals\n\nRatios of the same round: median and quartiles.\n\n{goals}"]
@@ -159,7 +159,7 @@ def describe_run(results: Results) -> str:
 
 
 def write_page(results: Results, figures: dict[Path, str], page: Path) -> None:
-    """Replace what stands between the marks of a page by tables and figures with captions."""
+    """Replace the text between the marks of a page by tables and figures with captions."""
     pictures = [
         f"![{caption}]({path.relative_to(page.parent)})" for path, caption in figures.items()
     ]
@@ -167,5 +167,5 @@ def write_page(results: Results, figures: dict[Path, str], page: Path) -> None:
     _, end, after = rest.partition(END)
     if not (begin and end):
         raise ValueError(f"{page}: put one line {BEGIN} and below it one line {END} into it")
-    text = "\n\n".join([render(results, PAGE), *pictures])
+    text = "\n\n".join([render_results(results, PAGE), *pictures])
     write_whole(page, f"{before}{BEGIN}\n{text}\n{END}{after}")

@@ -8,27 +8,29 @@ import pytest
 from experiments import benchmark
 from experiments.benchmark import main
 from experiments.benchmarks.machine import read_caches
-from experiments.benchmarks.measuring import BenchmarkSettings, Case
+from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings
 
 TURNS: list[str] = []
 
 
-def make_pair(settings: BenchmarkSettings) -> list[Case]:
-    def make(name: str) -> Case:
+def make_pair(settings: BenchmarkSettings) -> list[Benchmark]:
+    def make(name: str) -> Benchmark:
         def advance(num_steps: int) -> dict[str, float]:
             TURNS.append(f"{name}{num_steps}")
             return {"share": 0.25}
 
-        return Case(label=f"{name}/walls", name=name, advance=advance, num_steps=3, num_nodes=10)
+        return Benchmark(
+            label=f"{name}/walls", name=name, advance=advance, num_steps=3, num_nodes=10
+        )
 
     return [make("a"), make("b")]
 
 
-def make_number(settings: BenchmarkSettings) -> list[Case]:
-    return [Case(label="compile/warm", name="kept", num_steps=0, measured={"seconds": [0.5]})]
+def make_number(settings: BenchmarkSettings) -> list[Benchmark]:
+    return [Benchmark(label="compile/warm", name="kept", num_steps=0, measured={"seconds": [0.5]})]
 
 
-def make_nothing(settings: BenchmarkSettings) -> list[Case]:
+def make_nothing(settings: BenchmarkSettings) -> list[Benchmark]:
     return []
 
 

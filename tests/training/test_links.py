@@ -16,7 +16,15 @@ from fishrl.training.loop import Training
 
 #: What trainings with other settings write, and what is there while one writes.
 OTHERS = (
-    *("output.log", "failure.txt", ".lock", "episode.rrd", "classifier.pt", "wandb_id", "tensorboard"),
+    *(
+        "output.log",
+        "failure.txt",
+        ".lock",
+        "episode.rrd",
+        "classifier.pt",
+        "wandb_id",
+        "tensorboard",
+    ),
     *("checkpoints/.last.new", "checkpoints/..last.new", "learning_curve.png"),
 )
 SUMMARY = ("summary.md", "summary.csv", "runs.csv", "curves.png")

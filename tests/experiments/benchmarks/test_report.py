@@ -7,13 +7,21 @@ from typing import Any
 import pytest
 
 from experiments.benchmarks.machine import describe_machine
-from experiments.benchmarks.measuring import FISH, KERNEL, PERIODIC, PROBE, WALLS, Case, Results
+from experiments.benchmarks.measuring import (
+    FISH,
+    KERNEL,
+    PERIODIC,
+    PROBE,
+    WALLS,
+    Benchmark,
+    Results,
+)
 from experiments.benchmarks.plots import measure_bandwidth, write_plots
 from experiments.benchmarks.report import (
-    compare,
+    compare_speeds,
     list_goals,
     measure_speed,
-    render,
+    render_results,
     write_page,
 )
 
@@ -21,12 +29,12 @@ NODES = 1_000_000
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 
 
-def make_case(label: str, speeds: Sequence[float], *, scope: str = WALLS, **rest: Any) -> Case:
+def make_case(label: str, speeds: Sequence[float], *, scope: str = WALLS, **rest: Any) -> Benchmark:
     """Return a case with these MLUPS by round."""
     fields = {"group": "solver", "num_nodes": NODES, "working_set": 36 * NODES}
     measured = {"seconds": [NODES / speed / 1e6 for speed in speeds]} | rest.pop("measured", {})
     name = f"1 × 1000 × 1000, {label}"
-    return Case(label=label, name=name, scope=scope, measured=measured, **fields | rest)
+    return Benchmark(label=label, name=name, scope=scope, measured=measured, **fields | rest)
 
 
 @pytest.fixture
@@ -55,10 +63,10 @@ def results() -> Results:
 
 def test_ratios_compare_node_updates_of_the_same_round() -> None:
     ours, theirs = make_case("a", [100, 10, 50, 100]), make_case("b", [50, 5, 25, 50])
-    assert compare(ours, theirs) == pytest.approx((2.0, 2.0, 2.0))  # also in slow rounds
+    assert compare_speeds(ours, theirs) == pytest.approx((2.0, 2.0, 2.0))  # also in slow rounds
     small = make_case("small", [100, 100], num_nodes=10)
     assert measure_speed(small).median == pytest.approx(1e-3)
-    assert compare(make_case("large", [100, 100]), small).median == pytest.approx(1e5)
+    assert compare_speeds(make_case("large", [100, 100]), small).median == pytest.approx(1e5)
     # 9 populations of 4 bytes, each read and written once
     assert measure_bandwidth(make_case("a", [1000, 1000])) == pytest.approx((72.0,) * 3)
 
@@ -76,7 +84,7 @@ def test_figures_show_available_results(results: Results, tmp_path: Path) -> Non
     assert [file.name for file in files] == ["roofline.png", "scaling.png"]
     results.cases = []
     assert write_plots(results, tmp_path) == {}
-    assert render(results).count("###") == 1  # the goals
+    assert render_results(results).count("###") == 1  # the goals
 
 
 def test_page_changes_only_between_marks(results: Results, tmp_path: Path) -> None:
