@@ -88,8 +88,8 @@ def drop_object(_app: Any, page: nodes.document) -> None:
 
 
 def link_studies(_app: Any, _page: str, source: list[str]) -> None:
-    """Link records of studies, which are no pages of the site, as files."""
-    source[0] = re.sub(r"\]\(((?:\.\./)+studies/[^)]*\.md)\)", r"](path:\1)", source[0])
+    """Link Markdown outside the site, such as the studies' pages, as files."""
+    source[0] = re.sub(r"\]\(((?:\.\./)+(?:studies/[^)]*|SECURITY)\.md)\)", r"](path:\1)", source[0])
 
 
 def add_validation(_app: Any, page: str, source: list[str]) -> None:
