@@ -89,7 +89,9 @@ def drop_object(_app: Any, page: nodes.document) -> None:
 
 def link_studies(_app: Any, _page: str, source: list[str]) -> None:
     """Link Markdown outside the site, such as the studies' pages, as files."""
-    source[0] = re.sub(r"\]\(((?:\.\./)+(?:studies/[^)]*|SECURITY)\.md)\)", r"](path:\1)", source[0])
+    source[0] = re.sub(
+        r"\]\(((?:\.\./)+(?:studies/[^)]*|SECURITY)\.md)\)", r"](path:\1)", source[0]
+    )
 
 
 def add_validation(_app: Any, page: str, source: list[str]) -> None:

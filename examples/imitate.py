@@ -20,7 +20,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
-from fishrl.envs import KarmanGait, Oracle, make_env
+from fishrl.envs import Flows, KarmanGait, Oracle, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.senses import SenseName
 from fishrl.modules.actors import ILLEGAL_LOGIT
@@ -166,16 +166,14 @@ class Lesson:
                 total += len(batch) * float(loss.detach())
         return total / len(inputs)
 
-    def give(self, *, num_envs: int = 16, compile: bool = True) -> list[tuple[int, float, float]]:
+    def give(self, *, flows: Flows = Flows()) -> list[tuple[int, float, float]]:
         """Give the lesson, and print and return its rounds.
 
         Of each the decisions so far, the mean duration of its episodes in T and the loss.
         """
         budget, spent, rounds = self.budget, 0, []
         starts_of = torch.Generator().manual_seed(TRAIN_SEED + budget.seed)
-        env = make_env(
-            task=self.both, num_envs=num_envs, compile=compile, recognition=self.recognition
-        )
+        env = make_env(task=self.both, flows=flows, recognition=self.recognition)
         for share in itertools.chain((1.0, 0.5), itertools.repeat(0.0)):
             starts = self.both.sample_starts(budget.episodes, starts_of)
             episodes = run_episodes(env, partial(self.act, share=share), starts, on_step=self.keep)
@@ -209,7 +207,7 @@ def main() -> None:
     save_checkpoint(folder, actor, spec=lesson.spec, frames=rounds[-1][0], config=config)
     write_csv(folder / "metrics.csv", ("frames", "mean_length_T", "loss"), rounds)
     longer = replace(lesson.task, time_limit=321)
-    result = evaluate(folder, task=longer, episodes=24, num_envs=12)
+    result = evaluate(folder, task=longer, episodes=24, flows=Flows(num_envs=12))
     write_json(folder / "summary.json", result)
     share = find_share(round(24 * result["success_rate"]), 24).show(".0%")
     print(f"{folder} lasts 40 T: {share}, {result['mean_length_T']:.1f} T on average")

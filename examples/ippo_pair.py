@@ -18,7 +18,7 @@ from torchrl.envs import EnvBase
 from torchrl.modules import MaskedCategorical, MultiAgentMLP, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
-from fishrl.envs import PredationPair, make_env
+from fishrl.envs import Flows, PredationPair, make_env
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +154,7 @@ def main() -> None:
     parser.add_argument("--central", action="store_true", help="MAPPO: one critic of both fish")
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args()
-    env = make_env(task=PredationPair(), num_envs=chosen.num_envs, seed=chosen.seed)
+    env = make_env(task=PredationPair(), flows=Flows(num_envs=chosen.num_envs), seed=chosen.seed)
     settings = Settings(frames=chosen.frames, is_central=chosen.central, seed=chosen.seed)
     _, returns = train(env, settings)
     tenth = max(1, len(returns) // 10)

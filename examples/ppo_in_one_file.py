@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Categorical
 
-from fishrl.envs import AbstractTask, KarmanGait, Predation, make_env
+from fishrl.envs import AbstractTask, Flows, KarmanGait, Predation, make_env
 from fishrl.wrappers.gymnasium import FlowVectorEnv
 
 
@@ -139,9 +139,9 @@ def _update(
             optimiser.step()
 
 
-def make_fish(task: AbstractTask, *, num_envs: int, compile: bool = True) -> FlowVectorEnv:
+def make_fish(task: AbstractTask, flows: Flows) -> FlowVectorEnv:
     """Return fish as a Gymnasium vector environment."""
-    env = make_env(task=task, num_envs=num_envs, compile=compile)
+    env = make_env(task=task, flows=flows)
     return FlowVectorEnv(env, autoreset_mode="SameStep")
 
 
@@ -154,7 +154,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args()
     task = Predation() if chosen.task == "predation" else KarmanGait(start_flows=(1,))
-    envs = make_fish(task, num_envs=chosen.num_envs)
+    envs = make_fish(task, Flows(num_envs=chosen.num_envs))
     _, returns = train(envs, Settings(total_steps=chosen.total_steps, seed=chosen.seed))
     envs.close()
     tenth = max(1, len(returns) // 10)

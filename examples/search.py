@@ -13,7 +13,7 @@ import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 from optuna.trial import TrialState
 
-from fishrl.envs import AbstractTask, Predation
+from fishrl.envs import AbstractTask, Flows, Predation
 from fishrl.training import LearningSettings, Progress, RunSettings, train
 
 #: Distributions of arguments of ``LearningSettings``.
@@ -25,7 +25,13 @@ SPACE: dict[str, BaseDistribution] = {
 
 
 def search(
-    task: AbstractTask, folder: Path, *, trials: int, metric: str, **run: int | bool
+    task: AbstractTask,
+    folder: Path,
+    *,
+    trials: int,
+    metric: str,
+    flows: Flows = Flows(),
+    **run: int,
 ) -> optuna.Study:
     """Maximise an entry of the summary; ``run`` are arguments of ``RunSettings``."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -44,7 +50,7 @@ def search(
         with Progress() as progress:
             summary = train(
                 task=task,
-                learning=LearningSettings(**params),
+                learning=LearningSettings(flows=flows, **params),
                 run=RunSettings(folder=str(folder), name=f"trial_{number}", **run),
                 callbacks=[progress],
             )

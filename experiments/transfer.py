@@ -16,7 +16,7 @@ from experiments.gait import figures, trials
 from experiments.gait.diagnostics import combine_seeds, diagnose, trace_work
 from experiments.gait.free_stream import hold_in_free_stream
 from experiments.gait.tables import write_free_stream, write_results
-from fishrl.envs import KarmanGait, Recognition
+from fishrl.envs import Flows, KarmanGait, Recognition
 from fishrl.files import write_whole
 from fishrl.programs.program import TaskSettings, program
 from fishrl.training.callback import SILENT, Callback
@@ -37,7 +37,7 @@ class TransferSettings(TaskSettings):
         free_episodes: episodes in each stream without the half disc, held by a PID controller,
             whose work is compared with that of the first policy; 0 for none.
         folder: folder for tables, figures and histories.
-        device: cpu or cuda.
+        flows: how flows are computed; all episodes of a policy run together.
     """
 
     task: KarmanGait
@@ -48,7 +48,7 @@ class TransferSettings(TaskSettings):
     recognition: Recognition | None = None
     free_episodes: NonNegativeInt = 0
     folder: str = "runs/transfer"
-    device: str = "cpu"
+    flows: Flows = Flows()
 
 
 def transfer(
@@ -66,17 +66,17 @@ def transfer(
     arms: dict[str, list[list[trials.Histories]]] = {}
     alone: dict[str, list[dict[str, float]]] = {}
     for trial in tried:
-        flows = trials.run_trial(
+        histories = trials.run_trial(
             trial,
             episodes=settings.episodes,
             folder=folder,
-            device=settings.device,
+            flows=settings.flows,
             progress=progress,
         )
-        arms.setdefault(trial.arm, []).append(flows)
+        arms.setdefault(trial.arm, []).append(histories)
         alone[trial.name] = [
             diagnose(flow, trial.task, shedding_frequency=frequency)
-            for flow, frequency in zip(flows, trials.list_shedding(trial.task), strict=True)
+            for flow, frequency in zip(histories, trials.list_shedding(trial.task), strict=True)
         ]
     combined = {}
     for arm in arms:
@@ -89,7 +89,7 @@ def transfer(
             episodes=settings.free_episodes,
             periods=settings.periods,
             folder=folder,
-            device=settings.device,
+            flows=settings.flows,
             progress=progress,
         )
     results = {

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from experiments.gait import trials
+from fishrl.envs import Flows
 from fishrl.envs.steering import load_weights, save_weights
 from fishrl.envs.wakes import WakeBank, load_wakes
 from fishrl.files import load_tensors
@@ -73,7 +74,12 @@ def make_policy(folder: Path, _: pytest.MonkeyPatch) -> Callable[[], Any]:
 
 def make_data(folder: Path, patch: pytest.MonkeyPatch) -> Callable[[], Any]:
     patch.setattr(CollectionSettings, "place", folder)
-    given: Any = {"task": signals.make_task(), "num_envs": 2, "max_decisions": 2, "num_samples": 1}
+    given: Any = {
+        "task": signals.make_task(),
+        "flows": Flows(num_envs=2),
+        "max_decisions": 2,
+        "num_samples": 1,
+    }
     settings = CollectionSettings(**given, data_folder=str(folder))
     piece = {
         "lateral_line": torch.rand(2, 2, signals.INTERVAL, 3, 12),

@@ -87,14 +87,14 @@ def test_extras_named_by_errors_exist(installed: Path) -> None:
 def test_wheel_works_without_repository(installed: Path, tmp_path: Path) -> None:
     script = """
 import sys, fishrl.physics, fishrl.envs, fishrl.modules, fishrl.objectives, fishrl.viewer
-from fishrl.envs import Predation, make_env
+from fishrl.envs import Flows, Predation, make_env
 from fishrl.envs.steering import PolicySteering
 print(fishrl.__file__)
 steering = PolicySteering()
 env = make_env(task=Predation(
     body_length=16, reynolds=500.0, max_wall_speed=0.15, wall_margin_bl=0.18,
     domain_bl=(5.0, 3.0), start_x_bl=(2.5, 3.5), food_x_bl=1.0, food_y_bl=1.5,
-    food_limits_bl=(1.0, 2.0)), num_envs=1, compile=False)
+    food_limits_bl=(1.0, 2.0)), flows=Flows(num_envs=1, compile=False))
 print(env.rollout(1)["next", "observation_stack"].isfinite().all().item())
 print([name for name in sys.modules if name.split(".")[0] in ("experiments", "hydra", "rerun")])
 """

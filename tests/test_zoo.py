@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from fishrl.envs import make_env, run_episodes
+from fishrl.envs import Flows, make_env, run_episodes
 from fishrl.training import load_plan, load_policy
 from fishrl.training.evaluation import fixed_starts
 from fishrl.zoo import find_policy, list_policies
@@ -20,7 +20,9 @@ NAMES = list_policies()
 def test_a_policy_acts_in_its_task(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     move_kinematically(monkeypatch)
     policy, plan = load_policy(f"zoo/{name}"), load_plan(f"zoo/{name}")
-    env = make_env(task=plan.task, num_envs=1, recognition=plan.recognition, compile=False)
+    env = make_env(
+        task=plan.task, flows=Flows(num_envs=1, compile=False), recognition=plan.recognition
+    )
     starts = fixed_starts(env.base_env.task, 1, seed=0)
     assert run_episodes(env, policy, starts, max_decisions=3).lengths.tolist() == [3]
     assert next(policy.parameters()).dtype == torch.float32

@@ -13,7 +13,7 @@ import torch
 from torchrl.envs import ExplorationType, set_exploration_type
 
 from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings
-from fishrl.envs import Predation, make_env
+from fishrl.envs import Flows, Predation, make_env
 from fishrl.modules import make_actor
 from fishrl.torch_state import one_thread
 from fishrl.training import DiscreteSAC
@@ -21,7 +21,7 @@ from fishrl.training.collector import ResumableCollector
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
 
-NUM_ENVS = 16
+FLOWS = Flows(num_envs=16)
 
 
 def make_task(settings: BenchmarkSettings) -> Predation:
@@ -38,12 +38,12 @@ def make_action(base: Any, label: str, what: str, advance: Any, **options: Any) 
 
 
 def make_overhead(
-    settings: BenchmarkSettings, *, task: Any = None, num_envs: int = NUM_ENVS, **options: Any
+    settings: BenchmarkSettings, *, task: Any = None, flows: Flows = FLOWS
 ) -> list[Benchmark]:
     """Return benchmarks of an action, which measure its share of time outside the flow."""
     task = task or make_task(settings)
     middle = task.starts_from(torch.full((1, task.num_draws), 0.5, dtype=torch.float64))
-    env = make_env(task=task, num_envs=num_envs, starts=middle, **options)
+    env = make_env(task=task, flows=flows, starts=middle)
     policy: Any = make_actor(
         num_inputs=task.num_stacked * task.n_obs,
         num_actions=task.num_actions,
@@ -88,19 +88,18 @@ def make_training(
     *,
     task: Any = None,
     learning: LearningSettings | None = None,
-    **options: Any,
 ) -> list[Benchmark]:
     """Return benchmarks of a gradient step, and of a frame with its gradient steps."""
-    task, learning = task or make_task(settings), learning or LearningSettings(num_envs=NUM_ENVS)
+    task, learning = task or make_task(settings), learning or LearningSettings(flows=FLOWS)
     learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), learning)
-    env = make_env(task=task, num_envs=learning.num_envs, **options)
+    env = make_env(task=task, flows=learning.flows)
     batches = iter(
         ResumableCollector(
-            env, learner.explorer, frames_per_batch=learning.num_envs, total_frames=-1,
+            env, learner.explorer, frames_per_batch=learning.flows.num_envs, total_frames=-1,
             init_random_frames=learning.warmup_frames,
         )
     )  # fmt: skip
-    num_updates = round(learning.updates_per_frame * learning.num_envs)
+    num_updates = round(learning.updates_per_frame * learning.flows.num_envs)
 
     def collect() -> None:
         learner.store(next(batches).reshape(-1))

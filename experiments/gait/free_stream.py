@@ -12,7 +12,7 @@ from typing import Any
 
 from experiments.gait.diagnostics import BALANCE, list_works, trace_work
 from experiments.gait.trials import Histories, Trial, pick, prolong, run_trial
-from fishrl.envs import KarmanGait
+from fishrl.envs import Flows, KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.modules import PID
 from fishrl.programs.statistics import half_width
@@ -65,7 +65,7 @@ def hold_in_free_stream(
     episodes: int,
     periods: float,
     folder: Path,
-    device: str = "cpu",
+    flows: Flows,
     progress: Callback = SILENT,
 ) -> dict[str, Any]:
     """Return the results of free streams: ``flows``, ``work`` as it adds up, and their scales.
@@ -74,15 +74,15 @@ def hold_in_free_stream(
     latter what ``summarise`` returns, NaN if there is none.
     """
     trial = make_free_trial(task, periods=periods)
-    interval_T, flows, work = trial.task.interval_T, [], []
-    where: Any = {"folder": folder, "device": device, "progress": progress}
+    interval_T, rows, work = trial.task.interval_T, [], []
+    where: Any = {"folder": folder, "flows": flows, "progress": progress}
     for flow in run_trial(trial, episodes=episodes, **where):
         held = pick(flow, flow.lengths_T >= trial.task.time_limit * interval_T - 1e-6)
         counts = {"episodes": len(flow.flow), "held": len(held.flow)}
-        flows.append(counts | summarise(held, interval_T=interval_T))
+        rows.append(counts | summarise(held, interval_T=interval_T))
         work.append(trace_work(held, interval_T=interval_T))
     scales = trial.task.scales
-    return {"steps_per_T": scales.period, "mach": scales.mach, "flows": flows, "work": work}
+    return {"steps_per_T": scales.period, "mach": scales.mach, "flows": rows, "work": work}
 
 
 def summarise(held: Histories, *, interval_T: float) -> dict[str, float]:

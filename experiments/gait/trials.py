@@ -11,7 +11,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs import KarmanGait, Oracle, Recognition, make_env
+from fishrl.envs import Flows, KarmanGait, Oracle, Recognition, make_env
 from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.macro_actions import ContinuousFrequency, DirectFrequencies
@@ -189,11 +189,11 @@ def run_trial(
     *,
     episodes: int,
     folder: Path,
-    device: str = "cpu",
+    flows: Flows,
     progress: Callback = SILENT,
 ) -> list[Histories]:
     """Run ``episodes`` from fixed starts in each flow, or read them from the folder if it can."""
-    task, flows = trial.task, len(trial.task.stream.speeds_bl)
+    task, num_streams = trial.task, len(trial.task.stream.speeds_bl)
     sources = hash_sources(*_SOURCES)
     versions = (sources, torch.__version__)
     key = make_key(task, trial.identity, episodes, FRAMES, *versions)
@@ -203,31 +203,32 @@ def run_trial(
         kept = load_tensors(path, what="histories", remedy="delete the file", like=like)
         if len({value.shape[:1] for value in kept.values()}) > 1:
             raise ValueError(f"histories {path}: the entries differ in length; delete the file")
-        return [pick(Histories(**kept), kept["flow"] == flow) for flow in range(flows)]
-    starts: TensorDict = task.sample_starts(flows * episodes, torch.Generator().manual_seed(0))
+        return [pick(Histories(**kept), kept["flow"] == flow) for flow in range(num_streams)]
+    starts: TensorDict = task.sample_starts(
+        num_streams * episodes, torch.Generator().manual_seed(0)
+    )
     # the same noses, phases and keys in each flow for every policy
-    starts = torch.cat([starts[:episodes]] * flows)
-    starts["flow_index"] = torch.arange(flows).repeat_interleave(episodes)
-    histories = record(trial, starts, device=device, progress=progress)
+    starts = torch.cat([starts[:episodes]] * num_streams)
+    starts["flow_index"] = torch.arange(num_streams).repeat_interleave(episodes)
+    histories = record(trial, starts, flows=flows, progress=progress)
     path.parent.mkdir(parents=True, exist_ok=True)
     with staged(path) as stage:
         torch.save(histories._asdict(), stage)
-    return [pick(histories, histories.flow == flow) for flow in range(flows)]
+    return [pick(histories, histories.flow == flow) for flow in range(num_streams)]
 
 
 def record(
     trial: Trial,
     starts: TensorDictBase,
     *,
-    device: str = "cpu",
+    flows: Flows,
     progress: Callback = SILENT,
 ) -> Histories:
     """Run one episode from each start ``[E]``, all side by side."""
     task = trial.task
     env = make_env(
         task=task,
-        num_envs=len(starts),
-        device=device,
+        flows=replace(flows, num_envs=len(starts)),
         frames_per_action=FRAMES,
         recognition=trial.recognition,
     )
@@ -255,7 +256,7 @@ def record(
 
     episodes = run_episodes(
         env,
-        trial.make_policy().to(device),
+        trial.make_policy().to(flows.device),
         starts,
         on_begin=lambda start_of, state: read_place() | read_frame(start_of, base),
         on_step=read_decision,

@@ -7,6 +7,7 @@ from fishrl.envs.extensions import (
     HasScene,
 )
 from fishrl.envs.flow_env import FlowEnv
+from fishrl.envs.flows import Flows
 from fishrl.envs.making import make_env
 from fishrl.envs.one_hot import OneHotAction
 from fishrl.envs.recognition import Oracle, Recognition
@@ -18,6 +19,7 @@ __all__ = [
     "AbstractTask",
     "Command",
     "FlowEnv",
+    "Flows",
     "Follower",
     "HasFlowLabels",
     "HasHistory",

@@ -33,6 +33,7 @@ from fishrl.envs.checks import (
 )
 from fishrl.envs.draws import draw_uniform
 from fishrl.envs.extensions import HasHistory, find_extension
+from fishrl.envs.flows import Flows
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.specs import make_specs
 from fishrl.envs.task import AbstractTask
@@ -57,11 +58,8 @@ class FlowEnv(EnvBase):
 
     Args:
         task: the task.
-        num_envs: number of flows B.
+        flows: number of flows B, and how they are computed; all tensors are on their device.
         seed: seed of the starts; each start depends on seed, row and episode only.
-        device: device of all tensors.
-        compile_flow: compile the flow step; otherwise it runs eagerly, about 50 times slower.
-            (TorchRL reserves the keyword ``compile`` of environment classes.)
         starts: TensorDict ``[E]`` as returned by ``task.sample_starts``. Resets cycle through them,
             in order of rows within one reset. By default each start is drawn at random.
         frames_per_action: calls of ``on_frame`` within an action, at equal intervals: pictures, not
@@ -87,25 +85,21 @@ class FlowEnv(EnvBase):
         self,
         *,
         task: AbstractTask,
-        num_envs: int,
+        flows: Flows,
         seed: int = 0,
-        device: torch.device | str = "cpu",
-        compile_flow: bool = True,
         starts: TensorDictBase | None = None,
         frames_per_action: int = 1,
         on_frame: Callable[["FlowEnv"], None] | None = None,
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
-        check_device(device)
-        super().__init__(device=device, batch_size=[num_envs])
+        check_device(flows.device)
+        super().__init__(device=flows.device, batch_size=[flows.num_envs])
         if starts is None:
             check_starts_of(task)
         else:
             task.check_starts(starts)
             starts = starts.to(self.device)
         self.task, self.starts, self.on_frame = task, starts, on_frame
-        self._shape = shape_fish(task, num_envs)
+        self._shape = shape_fish(task, flows.num_envs)
         if task.num_fish > 1:
             names = [f"fish_{number}" for number in range(task.num_fish)]
             self.group_map = MarlGroupMapType.ALL_IN_ONE_GROUP.get_group_map(names)
@@ -116,7 +110,7 @@ class FlowEnv(EnvBase):
             frames=frames_per_action,
             samples=self._history.num_samples,
         )
-        self._rows = torch.arange(num_envs, device=self.device)
+        self._rows = torch.arange(flows.num_envs, device=self.device)
         self._seed, self._next_start = seed, 0
         self._episode = torch.zeros_like(self._rows)
         self._start_index = torch.full_like(self._rows, -1)
@@ -124,11 +118,7 @@ class FlowEnv(EnvBase):
         self.is_resting = torch.zeros_like(self._rows, dtype=torch.bool)
         self.is_moving, self.is_ending = ~self.is_resting, self.is_resting
         self.solver = InPlaceSolver(
-            config=task.flow_config(),
-            num_envs=num_envs,
-            frequency=1.0 / task.scales.period,
-            device=self.device,
-            compile=compile_flow,
+            config=task.flow_config(), frequency=1.0 / task.scales.period, **vars(flows)
         )
         self.start, _ = self._draw_starts(~self.is_resting)
         self._next_start = 0

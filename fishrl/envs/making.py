@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import torch
 from tensordict import TensorDictBase
 from torchrl.envs import (
     ActionMask,
@@ -17,6 +16,7 @@ from torchrl.envs import (
 
 from fishrl.envs.agents import name_entry
 from fishrl.envs.flow_env import FlowEnv
+from fishrl.envs.flows import Flows
 from fishrl.envs.recognition import Recognition
 from fishrl.envs.task import AbstractTask
 from fishrl.torch_state import in_own_state
@@ -38,10 +38,8 @@ class StableEnv(TransformedEnv):
 def make_env(
     *,
     task: AbstractTask,
-    num_envs: int,
+    flows: Flows,
     seed: int = 0,
-    device: torch.device | str = "cpu",
-    compile: bool = True,
     starts: TensorDictBase | None = None,
     frames_per_action: int = 1,
     on_frame: Callable[[FlowEnv], None] | None = None,
@@ -73,10 +71,8 @@ def make_env(
     env = StableEnv(
         FlowEnv(
             task=task,
-            num_envs=num_envs,
+            flows=flows,
             seed=seed,
-            device=device,
-            compile_flow=compile,
             starts=starts,
             frames_per_action=frames_per_action,
             on_frame=on_frame,

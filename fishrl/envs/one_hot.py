@@ -8,7 +8,7 @@ from torchrl.envs import EnvBase, Transform
 class OneHotAction(Transform):
     """Take actions ``[B, num_actions]`` of which one entry is set, instead of indices ``[B]``.
 
-    ``make_env(task=..., num_envs=4, transforms=[OneHotAction()])`` then has an action spec
+    ``make_env(task=..., flows=..., transforms=[OneHotAction()])`` then has an action spec
     ``OneHot``, whose last dimension is the number of actions. Sampling it respects the mask. With
     several fish actions are ``[B, M, num_actions]``, under ``agents``.
     """

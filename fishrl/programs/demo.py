@@ -38,7 +38,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     save = f"{folder / title}.mp4".replace("'", r"\'")
     child = start_child(
         "from fishrl.programs.view import main; main()",
-        *(f"policy=zoo/{name}", "periods=30", f"save='{save}'", f"compile={not options.eager}"),
+        *(
+            f"policy=zoo/{name}",
+            "periods=30",
+            f"save='{save}'",
+            f"flows.compile={not options.eager}",
+        ),
     )
     try:
         if status := child.wait():

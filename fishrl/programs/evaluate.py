@@ -26,27 +26,23 @@ class EvaluateConfig(PolicySettings, ViewerSettings):
     Args:
         episodes: fixed starts, one episode each; with ``seed=0`` those of every run's final
             evaluation, with 1 those that selected its checkpoint.
-        num_envs: flows that advance together.
         save: file for the result and all these settings as JSON, or nothing.
     """
 
     episodes: PositiveInt = 32
-    num_envs: PositiveInt = 16
     save: str | None = None
 
 
 def evaluate(config: EvaluateConfig, *, progress: Callback = SILENT) -> dict[str, Any]:
     """Run one episode from each of the fixed starts, and return the result with its policy."""
-    live = LiveView(config, num_flows=min(config.num_envs, config.episodes))
+    live = LiveView(config, num_flows=min(config.flows.num_envs, config.episodes))
     result = run_evaluation(
         config.source,
         task=config.task,
         recognition=config.recognition,
         episodes=config.episodes,
-        num_envs=config.num_envs,
+        flows=config.flows,
         seed=config.seed,
-        device=config.device,
-        compile=config.compile,
         callbacks=[progress, live],
     )
     about = {"policy": config.checkpoint or config.policy, "task": type(config.task).__name__}

@@ -29,13 +29,11 @@ class ExportDataSettings(PolicySettings):
         name: identifier of the dataset, ``(<namespace>/)<name>-v<version>``.
         folder: folder of the datasets; Minari finds them by ``MINARI_DATASETS_PATH=<folder>``.
         episodes: fixed starts, one episode each.
-        num_envs: flows that advance together.
     """
 
     name: str
     folder: str = "datasets"
     episodes: PositiveInt = 64
-    num_envs: PositiveInt = 16
 
 
 def record(settings: ExportDataSettings, *, progress: Callback = SILENT) -> "MinariDataset":
@@ -44,7 +42,7 @@ def record(settings: ExportDataSettings, *, progress: Callback = SILENT) -> "Min
 
     find_dataset(settings.name, settings.folder)
     task, recognition, policy = settings.make_policy()
-    num_envs = min(settings.num_envs, settings.episodes)
+    num_envs = min(settings.flows.num_envs, settings.episodes)
     env = settings.make_env(task, recognition, num_envs=num_envs, progress=progress)
     with closing(env):
         progress.on_phase("episodes", total=settings.episodes)

@@ -1,12 +1,13 @@
 """Settings of the programs that run a policy."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pydantic import NonNegativeInt
 from torchrl.envs import TransformedEnv
 
-from fishrl.envs import AbstractTask, Recognition, make_env
+from fishrl.envs import AbstractTask, Flows, Recognition, make_env
 from fishrl.envs.episodes import Policy
 from fishrl.programs.configuration import Node
 from fishrl.programs.program import TaskSettings
@@ -27,16 +28,14 @@ class PolicySettings(TaskSettings):
         recognition: source of flow labels, as for training; by default that of the run.
         seed: of the starts and of random actions; 0 gives those of every run's final evaluation, 1
             those that selected its checkpoint.
-        device: cpu or cuda.
-        compile: compile the flow solver.
+        flows: how flows are computed, and how many advance together, at most one per episode.
     """
 
     checkpoint: str | None = None
     policy: str | None = None
     recognition: Recognition | None = None
     seed: NonNegativeInt = 0
-    device: str = "cpu"
-    compile: bool = True
+    flows: Flows = Flows()
 
     def __post_init__(self) -> None:
         """Check that there is one source."""
@@ -76,7 +75,7 @@ class PolicySettings(TaskSettings):
             task=self.task,
             recognition=self.recognition,
             seed=self.seed,
-            device=self.device,
+            device=self.flows.device,
         )
 
     def make_env(
@@ -88,14 +87,12 @@ class PolicySettings(TaskSettings):
         progress: Callback,
     ) -> TransformedEnv:
         """Return flows of ``make_policy``'s task, for whoever reads them at every check."""
-        progress.on_phase("compilation" if self.compile else "set-up")
+        progress.on_phase("compilation" if self.flows.compile else "set-up")
         return make_env(
             task=task,
             recognition=recognition,
-            num_envs=num_envs,
+            flows=replace(self.flows, num_envs=num_envs),
             seed=self.seed,
-            device=self.device,
-            compile=self.compile,
             frames_per_action=task.checks_per_action,
         )
 

@@ -34,7 +34,7 @@ class RunCallback(LiveView):
     """The live view of a run, and its pictures at the end."""
 
     def __init__(self, config: TrainConfig, progress: Callback) -> None:
-        super().__init__(config, num_flows=config.num_envs)
+        super().__init__(config, num_flows=config.flows.num_envs)
         self.config, self.progress = config, progress
 
     def on_end(

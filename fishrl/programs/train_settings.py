@@ -7,7 +7,7 @@ from pydantic import NonNegativeInt
 
 from fishrl.programs.configuration import CommandLine, Node
 from fishrl.settings import Role
-from fishrl.training.plan import FIXED, Plan
+from fishrl.training.plan import Plan, is_fixed
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.viewer import ViewerSettings
 
@@ -48,7 +48,7 @@ def read_resumed(given: Node) -> Node:
         return {}
     folder = RunFolder.of_existing(str(given["resume"]))
     for key in given:
-        if key.split(".", 1)[0] in FIXED:
+        if is_fixed(key):
             raise ValueError(f"{key}: is fixed in {folder.path}; leave it out, or start a new run")
     return {**read_config(folder.config), "live": False}
 

@@ -40,7 +40,7 @@ class ViewConfig(PolicySettings, ViewerSettings):
 
     Args:
         recording: a ``.rrd`` file, or a run folder with one, to open as it is.
-        episodes: fixed starts, one flow each, of which ``flows`` are shown; all by default.
+        episodes: fixed starts, one flow each, of which ``shown_flows`` are shown; all by default.
         periods: T after which an episode is cut; ``null`` runs it to its end.
         save: file to write: a recording ``.rrd``, by default one in the temporary folder, or a film
             of one flow, ``.mp4`` or ``.gif``.
@@ -69,7 +69,7 @@ class ViewConfig(PolicySettings, ViewerSettings):
         if self.is_film and len(self.shown) > 1:
             raise ValueError(
                 f"save = {self.save}: a film is of one flow, not {len(self.shown)}: give "
-                "episodes=1, or the flow to be filmed, flows=[0]"
+                "episodes=1, or the flow to be filmed, shown_flows=[0]"
             )
         if self.is_film and (self.screenshot or self.live):
             raise ValueError(f"save = {self.save}: screenshot and live do not go with a film")

@@ -11,7 +11,15 @@ The annotations of a subclass of ``Settings`` are its schema, which pydantic che
 ``describe`` is the inverse; ``list_fields`` lists what a class takes.
 """
 
-from fishrl.settings.base import REQUIRED, Entry, FieldErrors, Role, Settings, list_fields
+from fishrl.settings.base import (
+    REQUIRED,
+    Entry,
+    FieldErrors,
+    Role,
+    Settings,
+    find_role,
+    list_fields,
+)
 from fishrl.settings.messages import suggest
 from fishrl.settings.plain import (
     TARGET,
@@ -34,6 +42,7 @@ __all__ = [
     "describe",
     "find_class",
     "find_main",
+    "find_role",
     "flatten",
     "list_fields",
     "suggest",

@@ -166,6 +166,20 @@ def list_fields(kind: type) -> list[Entry]:
     return entries
 
 
+def find_role(kind: type, key: str) -> Role:
+    """Return the role of a setting by its dotted key; that of a whole object is that of its parts.
+
+    Harmless is stronger than of the evaluation, and that than of the result.
+    """
+    name, _, rest = key.partition(".")
+    entry = next((entry for entry in list_fields(kind) if entry.name == name), None)
+    if entry is None or entry.role is Role.HARMLESS:
+        return Role.RESULT if entry is None else entry.role
+    is_part = rest and isinstance(entry.type, type) and issubclass(entry.type, Settings)
+    below = find_role(entry.type, rest) if is_part else Role.RESULT
+    return entry.role if below is Role.RESULT else below
+
+
 @cache
 def find_schema(kind: type) -> type[Settings]:
     """Return a ``Settings`` class, or make one of the constructor of any other class."""

@@ -2,14 +2,14 @@
 
 Example::
 
-    from fishrl.envs import Predation
+    from fishrl.envs import Flows, Predation
     from fishrl.training import DiscreteSAC, LearningSettings, RunSettings, evaluate, train
     from pathlib import Path
 
     summary = train(
         task=Predation(body_length=40, reynolds=2000),
         algorithm=DiscreteSAC(target_entropy_weight=0.1),
-        learning=LearningSettings(seed=1, num_envs=8),
+        learning=LearningSettings(seed=1, flows=Flows(num_envs=8)),
         run=RunSettings(total_frames=2000, folder="runs", name="first"),
     )
     print(summary["success_rate"], summary["random_success_rate"])

@@ -12,6 +12,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -23,6 +24,7 @@ from torchrl.collectors.distributed import RayCollector
 from torchrl.envs import EnvBase
 from torchrl.modules import EGreedyModule
 
+from fishrl.envs import Flows
 from fishrl.envs.agents import split_fish
 from fishrl.training.settings import LearningSettings
 
@@ -42,7 +44,7 @@ class ClusterCollector:
     Args:
         collector_class: class of the collector in each process.
         local: collector of this process, which collects nothing.
-        make_env: makes the env of a collector from ``num_envs`` and ``seed``; picklable.
+        make_env: makes the env of a collector from ``flows`` and ``seed``; picklable.
         explorer: the policy that collects.
         settings: numbers of processes, of flows and of warm-up frames of all of them together.
         seed: seed of the first collector.
@@ -61,16 +63,17 @@ class ClusterCollector:
         explorer: TensorDictModuleBase,
         settings: LearningSettings,
         seed: int,
-        device: str = "cpu",
     ) -> None:
         self._local, self.env, self.lend_env = local, local.env, local.lend_env
-        self._explorer, self._frames, self._device = explorer, 0, device
-        num_collectors, num_envs = settings.ray_collectors, settings.num_envs
+        flows, num_collectors = settings.flows, settings.ray_collectors
+        num_envs, self._device = flows.num_envs, flows.device
+        self._explorer, self._frames = explorer, 0
         self._warmup_frames = -(-settings.warmup_frames // num_envs) * num_envs  # whole batches
-        num_gpus = int(device == "cuda")
+        num_gpus = int(flows.device == "cuda")
         self._has_joined = join_cluster(num_collectors, num_gpus=num_gpus * num_collectors)
         warnings.filterwarnings("ignore", "RayCollector iteration started before weight")
-        make = partial(_make_seeded, make_env, num_envs=num_envs // num_collectors)
+        share = replace(flows, num_envs=num_envs // num_collectors)
+        make = partial(_make_seeded, make_env, flows=share)
         self._flows = RayCollector(
             [partial(make, seed=seed + SEED_STRIDE * i) for i in range(num_collectors)],
             explorer,
@@ -197,8 +200,8 @@ def check_size(num_collectors: int, *, num_gpus: int) -> None:
             )
 
 
-def _make_seeded(make_env: Callable[..., EnvBase], *, num_envs: int, seed: int) -> EnvBase:
+def _make_seeded(make_env: Callable[..., EnvBase], *, flows: Flows, seed: int) -> EnvBase:
     """Make the env of a collector, in its process, and seed its policy."""
     torch.manual_seed(seed)
     torch.set_num_threads(1)
-    return make_env(num_envs=num_envs, seed=seed)
+    return make_env(flows=flows, seed=seed)

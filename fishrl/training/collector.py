@@ -88,12 +88,12 @@ def make_collector(resolved: ResolvedRun, learner: Learner, *, seed: int) -> Any
     if resolved.task.num_fish > 1:
         explorer = EachFish(explorer, explorer.out_keys)
     make_flows = partial(_extend, resolved.make_flows, learner.transforms)
-    env = make_flows(num_envs=plan.num_envs, seed=seed)
+    env = make_flows(flows=plan.flows, seed=seed)
     actor_device = plan.learner_device and next(learner.actor.parameters()).device
     local = ResumableCollector(
         env,
         deepcopy(explorer) if plan.ray_collectors else explorer,  # a first decision here counts
-        frames_per_batch=plan.num_envs,
+        frames_per_batch=plan.flows.num_envs,
         total_frames=-1,
         init_random_frames=plan.warmup_frames,
         policy_device=actor_device,
@@ -111,7 +111,6 @@ def make_collector(resolved: ResolvedRun, learner: Learner, *, seed: int) -> Any
         explorer=explorer,
         settings=plan,
         seed=seed,
-        device=plan.device,
     )
 
 

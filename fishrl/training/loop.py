@@ -69,7 +69,7 @@ class Training:
         self.learner = self.plan.algorithm.make_learner(
             resolved.spec, self.plan, device=self.plan.policy_device
         )
-        self.callbacks.on_phase("compilation" if self.plan.compile else "set-up")
+        self.callbacks.on_phase("compilation" if self.plan.flows.compile else "set-up")
         with ignore_signals_in_children():  # a checkpoint needs the flows in these processes
             self.collector = make_collector(resolved, self.learner, seed=TRAIN_SEED + seed)
         self.callbacks.on_begin(self.collector.env)
@@ -98,7 +98,7 @@ class Training:
     def _learn(self) -> None:
         """Collect, store and update until ``total_frames``; evaluate, log and save when due."""
         counters, total = self.counters, self.plan.total_frames
-        begun = self.plan.num_envs if counters.pending else 0  # counted when it is concluded
+        begun = self.plan.flows.num_envs if counters.pending else 0  # counted when it is concluded
         self.callbacks.on_phase(self._phase(), total=total, done=counters.frames - begun)
         batches = iter(self.collector)
         while counters.pending or counters.frames < total:
@@ -170,7 +170,7 @@ class Training:
             self.resolved.success: metrics["train/success_rate"],
         }
         self.callbacks.on_phase(self._phase())
-        self.callbacks.on_progress(self.plan.num_envs, shown)
+        self.callbacks.on_progress(self.plan.flows.num_envs, shown)
 
     def _select(self) -> dict[str, float]:
         """Evaluate the greedy policy and keep it if it is the best so far."""
@@ -307,7 +307,7 @@ class Training:
     def _has_crossed(self, interval: int) -> bool:
         """Tell whether the newest frames passed a multiple of ``interval``."""
         after = self.counters.frames
-        return after // interval > (after - self.plan.num_envs) // interval
+        return after // interval > (after - self.plan.flows.num_envs) // interval
 
     def _phase(self) -> str:
         is_warm = self.counters.frames >= self.plan.warmup_frames

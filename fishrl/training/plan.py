@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 from fishrl.envs import AbstractTask, Recognition
-from fishrl.settings import TARGET, Role, build, describe, list_fields
+from fishrl.settings import TARGET, Role, build, describe, find_role, flatten, list_fields
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.logger import CsvLogger
@@ -50,6 +50,11 @@ class Plan(RunSettings, LearningSettings):
         """The run folder, unless a free one is to be taken."""
         return None if self.name is None else Path(self.folder).expanduser() / self.name
 
+    @property
+    def policy_device(self) -> str:
+        """Device of networks and replay buffer."""
+        return self.learner_device or self.flows.device
+
     def to_config(self) -> dict[str, Any]:
         """Return the plan as plain data; the path of a classifier is that in the run folder."""
         config = {name: value for name, value in describe(self).items() if name != TARGET}
@@ -70,16 +75,29 @@ class Plan(RunSettings, LearningSettings):
 
     def change(self, **changes: Any) -> Self:
         """Return the plan with other settings, of those that may change once a run has begun."""
-        for name in changes:
-            if name in FIXED:
-                raise ValueError(f"{name}: is fixed in a run that has begun; start a new run")
-        return replace(self, **changes)
+        changed = replace(self, **changes)
+        for key in self.list_differences(changed):
+            raise ValueError(f"{key}: is fixed in a run that has begun; start a new run")
+        return changed
+
+    def list_differences(self, other: "Plan") -> dict[str, tuple[Any, Any]]:
+        """Return the settings that are fixed in a run and differ in another plan, by dotted keys.
+
+        Each has its values in this plan and in the other, None where there is none.
+        """
+        one, two = (plan._flatten() for plan in (self, other))
+        keys = filter(is_fixed, {**two, **one})
+        values = {key: (one.get(key), two.get(key)) for key in keys}
+        return {key: pair for key, pair in values.items() if pair[0] != pair[1]}
+
+    def _flatten(self) -> dict[str, Any]:
+        """Return the settings by dotted keys, a classifier by its content."""
+        identity = None if self.recognition is None else self.recognition.identity
+        return flatten(self.to_config() | {"recognition": identity})
 
 
-_OF_RUN = [entry.name for entry in list_fields(RunSettings)]
-#: Settings that determine the result of a run, which are fixed once it has begun.
-FIXED = tuple(
-    entry.name
-    for entry in list_fields(Plan)
-    if entry.role is Role.RESULT and entry.name not in _OF_RUN
-)
+def is_fixed(key: str) -> bool:
+    """Return whether a setting, by its dotted key, is fixed once a run has begun."""
+    name = key.partition(".")[0]
+    of_plan, of_run = ({entry.name for entry in list_fields(k)} for k in (Plan, RunSettings))
+    return name in of_plan - of_run and find_role(Plan, key) is Role.RESULT

@@ -1,13 +1,14 @@
 """Load learned policies from checkpoints, and evaluate policies."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from types import EllipsisType
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
-from fishrl.envs import AbstractTask, Recognition, make_env
+from fishrl.envs import AbstractTask, Flows, Recognition, make_env
 from fishrl.envs.episodes import Policy, run_episodes
 from fishrl.physics.fast.checks import check_device
 from fishrl.torch_state import in_own_state
@@ -98,10 +99,8 @@ def evaluate(
     task: AbstractTask | None = None,
     recognition: Recognition | EllipsisType | None = ...,
     episodes: int = 32,
-    num_envs: int = 16,
+    flows: Flows = Flows(),
     seed: int = 0,
-    device: str = "cpu",
-    compile: bool = True,
     callbacks: Iterable[Callback] = (),
 ) -> dict[str, Any]:
     """Run one episode from each of the fixed starts.
@@ -113,11 +112,9 @@ def evaluate(
         recognition: source of flow labels, see ``make_env``; by default that of the checkpoint's
             run, and None for other policies.
         episodes: number of starts.
-        num_envs: flows that advance together.
+        flows: number of flows, and how they are computed; the policy is on their device.
         seed: seed of the starts and of random actions; 0 gives the starts of every run's final
             evaluation, 1 those that selected its best checkpoint.
-        device: cpu or cuda.
-        compile: compile the flow step.
         callbacks: called during the evaluation, such as ``Progress()``.
 
     Returns:
@@ -128,15 +125,13 @@ def evaluate(
     """
     called = join(callbacks)
     task, labels, act = prepare(
-        policy, task=task, recognition=recognition, seed=seed, device=device
+        policy, task=task, recognition=recognition, seed=seed, device=flows.device
     )
-    called.on_phase("compilation" if compile else "set-up")
+    called.on_phase("compilation" if flows.compile else "set-up")
     env = make_env(
         task=task,
-        num_envs=min(num_envs, episodes),
+        flows=replace(flows, num_envs=min(flows.num_envs, episodes)),
         seed=seed,
-        device=device,
-        compile=compile,
         frames_per_action=task.checks_per_action,  # callbacks may read each
         recognition=labels,
     )

@@ -24,7 +24,7 @@ class ResolvedRun:
     task: AbstractTask  #: task of the plan, which reads the flow labels if there are any
     spec: PolicySpec  #: sizes of its policy
     baselines: tuple[str, ...]  #: names of the policies to compare with
-    make_flows: Callable[..., TransformedEnv]  #: makes its flows, given ``num_envs`` and ``seed``
+    make_flows: Callable[..., TransformedEnv]  #: makes its env, given ``flows`` and ``seed``
 
     @property
     def success(self) -> str:
@@ -57,8 +57,6 @@ def resolve(plan: Plan) -> ResolvedRun:
         make_flows=partial(
             make_env,
             task=task,
-            device=plan.device,
-            compile=plan.compile,
             frames_per_action=task.checks_per_action,  # callbacks may read each
             recognition=labels,
         ),
@@ -66,14 +64,15 @@ def resolve(plan: Plan) -> ResolvedRun:
 
 
 def _check_devices(plan: Plan) -> None:
-    check_device(plan.device)
+    check_device(plan.flows.device)
     check_device(plan.policy_device)
     if not plan.ray_collectors:
         return
-    if plan.device not in ("cpu", "cuda") or plan.learner_device is not None:
+    device = plan.flows.device
+    if device not in ("cpu", "cuda") or plan.learner_device is not None:
         raise ValueError(
-            f"device = {plan.device}, learner_device = {plan.learner_device}: with ray_collectors "
-            "device must be cpu, or cuda, where each collector has a GPU of its own, and "
+            f"flows.device = {device}, learner_device = {plan.learner_device}: with ray_collectors "
+            "flows.device must be cpu, or cuda, where each collector has a GPU of its own, and "
             "learner_device null"
         )
     if find_spec("ray") is None:
@@ -82,8 +81,9 @@ def _check_devices(plan: Plan) -> None:
 
 def _check_memory(plan: Plan, task: AbstractTask, spec: PolicySpec) -> None:
     transition = 2 * (spec.num_inputs + spec.num_actions)
-    needed: dict[str, dict[str, float]] = {plan.device: {}, plan.policy_device: {}}
-    needed[plan.device]["flows"] = task.flow_config().num_bytes * plan.num_envs
+    device = plan.flows.device
+    needed: dict[str, dict[str, float]] = {device: {}, plan.policy_device: {}}
+    needed[device]["flows"] = task.flow_config().num_bytes * plan.flows.num_envs
     needed[plan.policy_device]["networks"] = plan.algorithm.count_bytes(spec)
     needed[plan.policy_device]["buffer"] = 4 * transition * plan.buffer_size * task.num_fish
     for device, parts in needed.items():

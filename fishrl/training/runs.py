@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from fishrl.envs import AbstractTask, Recognition
-from fishrl.settings import Role, flatten, list_fields, to_plain
+from fishrl.settings import Role, list_fields
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.callback import Callback
@@ -16,7 +16,7 @@ from fishrl.training.checkpoint import check_checkpoint, read_metadata
 from fishrl.training.interruption import handling_signals
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
-from fishrl.training.plan import FIXED, Plan
+from fishrl.training.plan import Plan
 from fishrl.training.resolve import resolve
 from fishrl.training.run_folder import RunFolder, read_config, read_summary, write_yaml
 from fishrl.training.settings import LearningSettings, RunSettings
@@ -111,17 +111,10 @@ def adopt_plan(folder: RunFolder, plan: P) -> P:
 
 def _refuse_other(plan: Plan, stored: Plan, path: Path) -> None:
     """Raise ValueError naming each setting that fixes the result and differs from those stored."""
-    flat, other = (flatten(_describe_fixed(each)) for each in (stored, plan))
-    different = [key for key in {**other, **flat} if flat.get(key) != other.get(key)]
+    different = plan.list_differences(stored)
     if different:
-        lines = [f"{key} = {other.get(key)}: is {flat.get(key)} in {path}" for key in different]
+        lines = [f"{key} = {new}: is {old} in {path}" for key, (new, old) in different.items()]
         raise ValueError("\n".join(lines) + "; take another folder or name, or change it back")
-
-
-def _describe_fixed(plan: Plan) -> dict[str, Any]:
-    fixed = {name: to_plain(getattr(plan, name)) for name in FIXED}
-    labels = plan.recognition
-    return fixed | {"recognition": None if labels is None else labels.identity}
 
 
 def read_result(folder: RunFolder, plan: Plan) -> dict[str, Any] | None:

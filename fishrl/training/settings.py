@@ -4,6 +4,7 @@ from typing import Annotated
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
+from fishrl.envs import Flows
 from fishrl.settings import Role, Settings
 
 
@@ -12,9 +13,9 @@ class LearningSettings(Settings):
 
     Args:
         seed: seed of networks, starts and actions; it determines the learning curve.
-        num_envs: flows that advance together.
+        flows: number of flows, and how they are computed; only ``flows.num_envs`` is fixed.
         ray_collectors: number of processes of a Ray cluster that share the flows, each on its own
-            GPU with ``device=cuda``; with 0 all flows belong to this process.
+            GPU with ``flows.device=cuda``; with 0 all flows belong to this process.
         warmup_frames: env frames with random legal actions before learning starts. PPO sets this,
             ``updates_per_frame`` and ``buffer_size`` itself.
         updates_per_frame: gradient steps per env frame and fish.
@@ -28,7 +29,7 @@ class LearningSettings(Settings):
     """
 
     seed: Annotated[NonNegativeInt, Field(lt=2**32)] = 0
-    num_envs: PositiveInt = 16
+    flows: Flows = Flows()
     ray_collectors: Annotated[NonNegativeInt, Field(le=10_000)] = 0
     warmup_frames: NonNegativeInt = 320
     updates_per_frame: Annotated[NonNegativeFloat, Field(le=1e6)] = 4.0
@@ -45,9 +46,9 @@ class LearningSettings(Settings):
             raise ValueError(
                 f"batch_size = {self.batch_size}: must be at most buffer_size = {self.buffer_size}"
             )
-        if self.ray_collectors and self.num_envs % self.ray_collectors:
+        if self.ray_collectors and self.flows.num_envs % self.ray_collectors:
             raise ValueError(
-                f"num_envs = {self.num_envs}: must be a multiple of ray_collectors = "
+                f"flows.num_envs = {self.flows.num_envs}: must be a multiple of ray_collectors = "
                 f"{self.ray_collectors}"
             )
 
@@ -57,9 +58,7 @@ class RunSettings(Settings):
 
     Args:
         total_frames: env frames to train for; one decision in one flow is a frame.
-        device: cpu or cuda, of the flows.
         learner_device: device of networks and replay buffer; by default that of the flows.
-        compile: compile the flow solver.
         folder: folder of all run folders.
         name: name of the run folder; by default made from task, preset, algorithm and seed.
         log_frames: frames between rows of the metrics.
@@ -74,9 +73,7 @@ class RunSettings(Settings):
     """
 
     total_frames: PositiveInt = 2800
-    device: str = "cpu"
     learner_device: str | None = None
-    compile: bool = True
     folder: Annotated[str, Role.HARMLESS] = "runs"
     name: Annotated[str | None, Role.HARMLESS] = None
     log_frames: Annotated[PositiveInt, Role.HARMLESS] = 64
@@ -86,8 +83,3 @@ class RunSettings(Settings):
     eval_episodes: Annotated[PositiveInt, Field(le=10**6)] = 16
     final_episodes: Annotated[PositiveInt, Field(le=10**6), Role.EVALUATION] = 32
     baselines: Annotated[tuple[str, ...] | None, Role.EVALUATION] = None
-
-    @property
-    def policy_device(self) -> str:
-        """Device of networks and replay buffer."""
-        return self.learner_device or self.device

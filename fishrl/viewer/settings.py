@@ -16,7 +16,7 @@ class ViewerSettings(Settings):
 
     Args:
         live: stream to a viewer on this machine (127.0.0.1) while the flows run.
-        flows: indices of the flows to show, each in a tab.
+        shown_flows: indices of the flows to show, each in a tab.
         frames_per_T: approximate frames per period; frames coincide with checks for termination.
         field: vorticity (1/T), pressure (rho L^2/T^2) or speed (L/T).
         field_format: format of the field, jpeg (small) or u8 (values under the mouse).
@@ -28,7 +28,7 @@ class ViewerSettings(Settings):
     """
 
     live: Annotated[bool, Role.HARMLESS] = False
-    flows: Annotated[tuple[int, ...] | None, Role.HARMLESS] = None
+    shown_flows: Annotated[tuple[int, ...] | None, Role.HARMLESS] = None
     frames_per_T: Annotated[PositiveInt, Role.HARMLESS] = 8
     field: Annotated[Literal["vorticity", "pressure", "speed"], Role.HARMLESS] = "vorticity"
     field_format: Annotated[FieldFormat, Role.HARMLESS] = "jpeg"
@@ -38,7 +38,7 @@ class ViewerSettings(Settings):
 
     def choose_flows(self, num: int, *, default: int) -> list[int]:
         """Return the indices of the flows to show, by default the first ``default`` of ``num``."""
-        flows = list(range(default)) if self.flows is None else list(self.flows)
+        flows = list(range(default) if self.shown_flows is None else self.shown_flows)
         if not flows or not all(0 <= flow < num for flow in flows) or len(set(flows)) < len(flows):
-            raise ValueError(f"flows = {flows}: must be some of 0 to {num - 1}, each once")
+            raise ValueError(f"shown_flows = {flows}: must be some of 0 to {num - 1}, each once")
         return flows

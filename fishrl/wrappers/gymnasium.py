@@ -9,10 +9,11 @@ Needs the extra ``gymnasium``. Importing this module registers the ids::
     env = gymnasium.make("fishrl/KarmanGait-v0", recognition="oracle", render_mode="rgb_array")
 """
 
+from dataclasses import replace
 from inspect import signature
 from typing import Any
 
-from fishrl.envs import AbstractTask, Follower, KarmanGait, Predation, make_env
+from fishrl.envs import AbstractTask, Flows, Follower, KarmanGait, Predation, make_env
 from fishrl.wrappers.vector import FlowVectorEnv  # first: it names the extra if it is missing
 
 from gymnasium import register  # isort: skip
@@ -32,7 +33,7 @@ def make_vector(task: type[AbstractTask], num_envs: int, **settings: Any) -> Flo
 
     Args:
         task: class of the task.
-        num_envs: number of flows.
+        num_envs: number of flows, regardless of ``flows.num_envs``.
         settings: arguments of ``make_env`` and ``FlowVectorEnv``; all others go to the task.
 
     Raises:
@@ -42,7 +43,8 @@ def make_vector(task: type[AbstractTask], num_envs: int, **settings: Any) -> Flo
         {name: settings.pop(name) for name in signature(takes).parameters if name in settings}
         for takes in (make_env, FlowVectorEnv)
     )
-    env = make_env(task=task(**settings), num_envs=num_envs, **making)
+    flows = replace(making.pop("flows", Flows()), num_envs=num_envs)
+    env = make_env(task=task(**settings), flows=flows, **making)
     return FlowVectorEnv(env, **wrapping)
 
 

@@ -46,7 +46,7 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
             )
         if env.batch_size != (1,):
             raise ValueError(
-                f"FlowParallelEnv wraps one flow, not {env.batch_size[0]}: make_env(num_envs=1)"
+                f"FlowParallelEnv wraps one flow, not {env.batch_size[0]}: flows=Flows(num_envs=1)"
             )
         self.env = env
         self.render_mode = render_mode

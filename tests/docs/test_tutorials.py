@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from fishrl.envs import AbstractTask
+from fishrl.envs import AbstractTask, Flows
 from fishrl.envs.stations import SafeArea
 from tests.docs.pages import PAGES, count_lines, list_pages, read_blocks
 from tests.envs.conftest import SMALL
@@ -26,7 +26,7 @@ CHANNEL: dict[str, Any] = BRIEF | {
     "start_x_bl": (-1.6, -1.4),
     "safe_area": SafeArea(near_bl=-2.0, far_bl=1.0, aside_bl=0.5),
 }
-SIZES = {"TINY": TINY | BRIEF, "SMALL": SMALL | BRIEF, "CHANNEL": CHANNEL}
+SIZES = {"Flows": Flows, "TINY": TINY | BRIEF, "SMALL": SMALL | BRIEF, "CHANNEL": CHANNEL}
 WRITTEN = {
     "../README.md": ["runs"],
     "algorithms.md": ["runs"],

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 import fishrl.envs.flow_env
 import fishrl.envs.streams
-from fishrl.envs import AbstractTask, FlowEnv, Predation
+from fishrl.envs import AbstractTask, FlowEnv, Flows, Predation
 from fishrl.envs.wakes import WakeBank, WakeRecipe
 from fishrl.physics.collision import compute_equilibrium
 from tests.envs.kinematic_solver import KinematicSolver
@@ -43,7 +43,7 @@ def small_task() -> Predation:
 
 def make_flows(task: AbstractTask, num_envs: int, **options: Any) -> FlowEnv:
     """Return the bare environment, eager."""
-    return FlowEnv(task=task, num_envs=num_envs, compile_flow=False, **options)
+    return FlowEnv(task=task, flows=Flows(num_envs=num_envs, compile=False), **options)
 
 
 def act(env: FlowEnv, *actions: int, **inputs: Any) -> TensorDict:

@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 from torchrl.envs.utils import check_marl_grouping
 
-from fishrl.envs import FlowEnv, Oracle, make_env
+from fishrl.envs import FlowEnv, Flows, Oracle, make_env
 from fishrl.envs.agents import EachFish, average_fish, split_fish
 from fishrl.modules import RandomPolicy
 from tests.envs.conftest import SMALL, make_flows, reset_rows
@@ -31,7 +31,9 @@ def flows() -> FlowEnv:
 
 @pytest.mark.parametrize("is_continuous", [False, True])
 def test_layout_is_torchrls_multi_agent_layout(is_continuous: bool) -> None:
-    env = make_env(task=PairTask(**SMALL, is_continuous=is_continuous), num_envs=3, compile=False)
+    env = make_env(
+        task=PairTask(**SMALL, is_continuous=is_continuous), flows=Flows(num_envs=3, compile=False)
+    )
     check_env_specs(env, seed=0)
     check_marl_grouping(env.group_map, ["fish_0", "fish_1"])
     assert env.action_key == ("agents", "action") and env.reward_key == ("agents", "reward")
@@ -58,7 +60,7 @@ def test_each_fish_is_commanded_observed_and_rewarded_separately(flows: FlowEnv)
 
 
 def test_partial_reset_keeps_stacks_and_returns_of_other_rows() -> None:
-    env = make_env(task=PairTask(**SMALL), num_envs=2, compile=False)
+    env = make_env(task=PairTask(**SMALL), flows=Flows(num_envs=2, compile=False))
     before = env.rollout(2, policy=EachFish(RandomPolicy(seed=0)))[:, -1]["next"]
     kept = before.select("agents", "done", "terminated", "truncated")
     state = env.reset(kept.set("_reset", torch.tensor([[False], [True]])))["agents"]
@@ -90,11 +92,11 @@ def test_illegal_action_is_named_with_its_row_and_fish(flows: FlowEnv) -> None:
 
 def test_flow_labels_are_refused_for_several_fish() -> None:
     with pytest.raises(ValueError, match=r"LabelledPair has .* several fish"):
-        make_env(task=LabelledPair(**SMALL), num_envs=1, recognition=Oracle())
+        make_env(task=LabelledPair(**SMALL), flows=Flows(num_envs=1), recognition=Oracle())
 
 
 def test_split_and_averaged_entries_are_those_of_each_fish_and_its_flow() -> None:
-    data = make_env(task=PairTask(**SMALL), num_envs=3, compile=False).rollout(1)[:, 0]
+    data = make_env(task=PairTask(**SMALL), flows=Flows(num_envs=3, compile=False)).rollout(1)[:, 0]
     rows = split_fish(data)
     assert rows.shape == (6,) and "agents" not in rows.keys(True)
     for name in ("action", ("next", "reward")):
@@ -111,5 +113,5 @@ def test_policy_of_one_fish_decides_for_each_fish() -> None:
         assert seen.shape == (4,) and seen["step_count"].shape == (4, 1)
         return seen.set("action", torch.arange(4) % 3)
 
-    state = make_env(task=PairTask(**SMALL), num_envs=2, compile=False).reset()
+    state = make_env(task=PairTask(**SMALL), flows=Flows(num_envs=2, compile=False)).reset()
     assert EachFish(point)(state)["agents", "action"].tolist() == [[0, 1], [2, 0]]

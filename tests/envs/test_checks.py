@@ -8,7 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import AbstractTask, Command, Predation
+from fishrl.envs import AbstractTask, Command, Flows, Predation
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.physics import Fish
 from fishrl.physics.bodies.gait import CARLING
@@ -25,7 +25,7 @@ def _make(**members: Any) -> AbstractTask:
 
 
 def _step(task: AbstractTask) -> None:
-    env = FlowEnv(task=task, num_envs=2, compile_flow=False)
+    env = FlowEnv(task=task, flows=Flows(num_envs=2, compile=False))
     env.step(env.reset().set("action", torch.tensor([0, 1])))
 
 

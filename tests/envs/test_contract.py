@@ -13,7 +13,7 @@ import torch
 from torchrl.envs import check_env_specs
 
 import fishrl.envs.tasks
-from fishrl.envs import AbstractTask, make_env
+from fishrl.envs import AbstractTask, Flows, make_env
 from fishrl.envs.agents import split_fish
 from fishrl.envs.macro_actions import ContinuousFrequency
 from fishrl.envs.tasks import Follower, KarmanGait, Predation
@@ -61,11 +61,11 @@ def test_pickle_holds_the_settings_alone(task: AbstractTask) -> None:
 
 
 def test_specs_hold(task: AbstractTask) -> None:
-    check_env_specs(make_env(task=task, num_envs=3, compile=False), seed=0)
+    check_env_specs(make_env(task=task, flows=Flows(num_envs=3, compile=False)), seed=0)
 
 
 def test_every_state_has_a_legal_action_and_random_actions_are_legal(task: AbstractTask) -> None:
-    env = make_env(task=task, num_envs=4, compile=False)
+    env = make_env(task=task, flows=Flows(num_envs=4, compile=False))
     rollout = env.rollout(40, break_when_any_done=False)
     assert rollout["next", "done"].any()  # terminal states are among them
     rollout = split_fish(rollout.reshape(-1))

@@ -6,7 +6,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
-from fishrl.envs import FlowEnv, Predation, make_env
+from fishrl.envs import FlowEnv, Flows, Predation, make_env
 from fishrl.envs.episodes import Episodes, has_succeeded, run_episodes
 from tests.envs.conftest import SMALL, keep_straight
 
@@ -20,7 +20,7 @@ def task() -> Predation:
 
 
 def make(task: Predation, num_envs: int, **settings: int) -> TransformedEnv:
-    return make_env(task=task, num_envs=num_envs, compile=False, **settings)
+    return make_env(task=task, flows=Flows(num_envs=num_envs, compile=False), **settings)
 
 
 def draw(task: Predation, num: int = NUM_STARTS) -> TensorDict:
@@ -97,7 +97,7 @@ def test_episodes_cut_by_max_decisions_do_not_succeed() -> None:
 
 def test_env_is_restored_even_if_the_policy_fails(task: Predation) -> None:
     seen: list[FlowEnv] = []
-    env = make_env(task=task, num_envs=7, compile=False, on_frame=seen.append)
+    env = make_env(task=task, flows=Flows(num_envs=7, compile=False), on_frame=seen.append)
     base = env.base_env
     run_episodes(env, keep_straight, draw(task), on_frame=lambda start_of, base: None)
 

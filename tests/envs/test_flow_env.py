@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import step_mdp
 
-from fishrl.envs import FlowEnv, Predation, make_env
+from fishrl.envs import FlowEnv, Flows, Predation, make_env
 from tests.envs.conftest import SMALL, act, make_flows, read_flows, reset_rows, starts_at
 from tests.envs.small_tasks import MaskedTask
 
@@ -24,7 +24,7 @@ def make_twins(task: Predation) -> tuple[FlowEnv, FlowEnv]:
 
 
 def test_arguments_are_visible() -> None:
-    assert "compile_flow" in inspect.signature(FlowEnv).parameters
+    assert "flows" in inspect.signature(FlowEnv).parameters
 
 
 def test_partial_reset_changes_its_rows_alone(small_task: Predation) -> None:
@@ -199,4 +199,4 @@ def test_one_hot_actions_and_task_classes_are_refused_with_a_remedy() -> None:
         with pytest.raises(ValueError, match=r"integers of shape \(2,\).*OneHotAction"):
             env.step(env.reset().set("action", action))
     with pytest.raises(ValueError, match="must be an instance of a task"):
-        make_env(task=MaskedTask, num_envs=1)  # type: ignore[arg-type]
+        make_env(task=MaskedTask, flows=Flows(num_envs=1))  # type: ignore[arg-type]

@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import FlowEnv, Follower, make_env
+from fishrl.envs import FlowEnv, Flows, Follower, make_env
 from fishrl.physics.placement import do_overlap
 from fishrl.training.baselines import make_baseline
 from tests.envs.conftest import SMALL, make_flows
@@ -59,7 +59,7 @@ def test_reward_is_the_efficiency_or_minus_10_on_failure() -> None:
 @pytest.mark.usefixtures("kinematic")
 def test_contact_ends_the_episode_before_fish_overlap() -> None:
     task = Follower(**TINY, start_y_bl=(0.0, 0.0), start_degrees=0.0)
-    env = make_env(task=task, num_envs=2, compile=False)
+    env = make_env(task=task, flows=Flows(num_envs=2, compile=False))
     state, ahead = env.reset(), torch.zeros(2, 2)
     for _ in range(9):
         step = env.step(state.set("action", ahead))["next"]
@@ -93,7 +93,7 @@ def test_leader_is_held_and_the_follower_bends_and_approaches_its_amplitude() ->
 @pytest.mark.usefixtures("kinematic")
 def test_baseline_keeps_the_largest_amplitude() -> None:
     task = Follower(**TINY, amplitude_range=(0.4, 0.9))
-    env = make_env(task=task, num_envs=2, compile=False)
+    env = make_env(task=task, flows=Flows(num_envs=2, compile=False))
     state = make_baseline("keep_place", task=task, seed=0)(env.reset())
     assert state["action"].shape == (2, 3) and (state["action"][:, 2] == 1.0).all()
     env.step(state)

@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
-from fishrl.envs import FlowEnv, KarmanGait, Oracle, make_env
+from fishrl.envs import FlowEnv, Flows, KarmanGait, Oracle, make_env
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import BendControl, MacroActions
 from fishrl.envs.stations import SafeArea, StationReward
@@ -90,8 +90,8 @@ def test_flow_label_selects_the_row_and_leaves_the_gear() -> None:
         assert after["gear"].squeeze(-1).tolist() == [2, 2]
         assert after["flow_index"].squeeze(-1).tolist() == [0, 1]
     env = make_env(
-        task=make_task(reads_flow_class=True), num_envs=2, starts=env.starts.flip(0),
-        compile=False, recognition=Oracle(),
+        task=make_task(reads_flow_class=True), flows=Flows(num_envs=2, compile=False),
+        starts=env.starts.flip(0), recognition=Oracle(),
     )  # fmt: skip
     state = env.reset()
     assert state["observation_stack"].shape == (2, (7 + 3) * env.base_env.task.num_stacked)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torchrl.envs import SerialEnv
 
-from fishrl.envs import Predation, make_env
+from fishrl.envs import Flows, Predation, make_env
 from tests.envs.conftest import SMALL, keep_straight, make_flows, starts_at
 from tests.envs.kinematic_solver import KinematicSolver
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("kinematic")
 def test_stack_holds_the_last_observations_and_restarts_with_its_row() -> None:
     """Row 0 captures its food after some actions and is reset, row 1 swims on."""
     starts = starts_at((3.8, 2.5), (7.5, 1.5), (7.0, 3.0))
-    env = make_env(task=Predation(**SMALL), num_envs=2, compile=False, starts=starts)
+    env = make_env(task=Predation(**SMALL), flows=Flows(num_envs=2, compile=False), starts=starts)
     assert not hasattr(env.base_env, "group_map")  # entries of one fish are at the top level
     rollout = env.rollout(8, policy=keep_straight, break_when_any_done=False)
     is_init = rollout["is_init"].squeeze(-1)
@@ -36,7 +36,7 @@ def test_stack_holds_the_last_observations_and_restarts_with_its_row() -> None:
 def test_time_limit_truncates_and_episode_rewards_are_sums() -> None:
     task = Predation(**SMALL, time_limit=3)
     starts = starts_at((5.0, 2.5), (3.8, 2.5))  # 1.3 L to the food, at 0.4 L an action
-    env = make_env(task=task, num_envs=2, compile=False, starts=starts)
+    env = make_env(task=task, flows=Flows(num_envs=2, compile=False), starts=starts)
     after = env.rollout(4, policy=keep_straight, break_when_any_done=False)["next"]
     flags = {"truncated": [False, False, True, False], "terminated": [False] * 4}
     for key, expected in (flags | {"step_count": [1, 2, 3, 1]}).items():
@@ -45,7 +45,7 @@ def test_time_limit_truncates_and_episode_rewards_are_sums() -> None:
 
 
 def test_saved_flows_and_frame_stacks_continue_in_another_environment() -> None:
-    make = partial(make_env, task=Predation(**SMALL), num_envs=2, compile=False)
+    make = partial(make_env, task=Predation(**SMALL), flows=Flows(num_envs=2, compile=False))
     first, second = make(seed=1), make(seed=2)
     state = first.rollout(3)[:, -1]["next"].exclude("reward")
     second.reset()
@@ -57,7 +57,7 @@ def test_saved_flows_and_frame_stacks_continue_in_another_environment() -> None:
 
 
 def test_seeded_serial_environments_draw_different_starts() -> None:
-    make = partial(make_env, task=Predation(**SMALL), num_envs=2, compile=False)
+    make = partial(make_env, task=Predation(**SMALL), flows=Flows(num_envs=2, compile=False))
     for seed, is_same in ((None, True), (3, False)):
         envs = SerialEnv(2, make)
         if seed is not None:
@@ -76,6 +76,6 @@ def test_compile_reaches_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("fishrl.envs.flow_env.InPlaceSolver", make_solver)
     for compile in (False, True):
-        make_env(task=Predation(**SMALL), num_envs=1, compile=compile)
+        make_env(task=Predation(**SMALL), flows=Flows(num_envs=1, compile=compile))
     make_flows(Predation(**SMALL), 1)
     assert given == [False, True, False]

@@ -10,7 +10,7 @@ from torchrl.envs.utils import check_env_specs
 from torchrl.modules import MLP, QValueActor
 from torchrl.objectives import DQNLoss
 
-from fishrl.envs import AbstractTask, KarmanGait, OneHotAction, Predation, make_env
+from fishrl.envs import AbstractTask, Flows, KarmanGait, OneHotAction, Predation, make_env
 from tests.envs.conftest import SMALL
 from tests.envs.small_tasks import PairTask
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.usefixtures("kinematic")
 
 
 def make(task: AbstractTask) -> TransformedEnv:
-    return make_env(task=task, num_envs=2, compile=False, transforms=[OneHotAction()])
+    return make_env(task=task, flows=Flows(num_envs=2, compile=False), transforms=[OneHotAction()])
 
 
 @pytest.fixture

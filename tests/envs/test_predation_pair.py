@@ -7,7 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import FlowEnv, PredationPair, make_env
+from fishrl.envs import FlowEnv, Flows, PredationPair, make_env
 from fishrl.wrappers.gymnasium import FlowVectorEnv
 from tests.envs.conftest import SMALL, make_flows
 
@@ -95,6 +95,6 @@ def test_invalid_settings_are_refused(settings: dict[str, Any], message: str) ->
 
 
 def test_gymnasium_refuses_several_fish() -> None:
-    env = make_env(task=PredationPair(**SMALL), num_envs=1, compile=False)
+    env = make_env(task=PredationPair(**SMALL), flows=Flows(num_envs=1, compile=False))
     with pytest.raises(ValueError, match="PredationPair has several fish"):
         FlowVectorEnv(env)

@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import FlowEnv, Predation, PredationPair, make_env
+from fishrl.envs import FlowEnv, Flows, Predation, PredationPair, make_env
 from fishrl.physics import Coupling
 from tests.envs.conftest import SMALL, act, make_flows, read_flows
 from tests.physics.flows import make_tank
@@ -42,7 +42,9 @@ def test_fish_swims_and_turns_as_commanded(task: Predation) -> None:
 def test_diverged_flow_is_reset_alone_and_swims_on() -> None:
     task = Predation(**TINY, control_interval_T=0.25, checks_per_action=6)
     starts = task.sample_starts(2, torch.Generator().manual_seed(1))
-    env, intact = (make_env(task=task, num_envs=2, compile=False, starts=starts) for _ in range(2))
+    env, intact = (
+        make_env(task=task, flows=Flows(num_envs=2, compile=False), starts=starts) for _ in range(2)
+    )
     states = [env.reset(), intact.reset()]
     f = env.base_env.solver.populations()
     f[1] = torch.nan
@@ -85,8 +87,8 @@ def test_compiled_rows_on_several_cores_equal_single_rows() -> None:
     task = Predation(**tank, control_interval_T=0.5)
     assert task.flow_config().get_structure() == make_tank().get_structure()
     starts = task.sample_starts(2, torch.Generator().manual_seed(2))
-    env = FlowEnv(task=task, num_envs=2, starts=starts)
-    alone = FlowEnv(task=task, num_envs=1, starts=starts)
+    env = FlowEnv(task=task, flows=Flows(num_envs=2), starts=starts)
+    alone = FlowEnv(task=task, flows=Flows(num_envs=1), starts=starts)
     for flows in (env, alone):
         flows.reset()
         flows.solver.advance_(40)  # far from the fish, numbers are as small as they can be now

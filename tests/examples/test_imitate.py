@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from examples.imitate import Budget, Lesson
-from fishrl.envs import make_env
+from fishrl.envs import Flows, make_env
 from fishrl.envs.senses import SenseName
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -27,7 +27,9 @@ def test_student_sees_what_its_own_task_shows(more: tuple[SenseName, ...]) -> No
     starts = lesson.task.sample_starts(2, torch.Generator().manual_seed(0))
     for task in (lesson.task, lesson.both):
         labels = lesson.recognition
-        env = make_env(task=task, num_envs=2, starts=starts, compile=False, recognition=labels)
+        env = make_env(
+            task=task, flows=Flows(num_envs=2, compile=False), starts=starts, recognition=labels
+        )
         state, stacks = env.reset(), []
         for _ in range(4):
             state["action"] = torch.tensor([4, 5])
@@ -41,7 +43,7 @@ def test_student_sees_what_its_own_task_shows(more: tuple[SenseName, ...]) -> No
 
 def test_lesson_keeps_its_budget_and_brings_the_student_nearer_to_the_teacher() -> None:
     lesson = make_lesson(decisions=100, episodes=2, epochs=20)
-    spent, *_ = lesson.give(num_envs=2, compile=False)[-1]
+    spent, *_ = lesson.give(flows=Flows(num_envs=2, compile=False))[-1]
     assert 100 <= spent == sum(len(inputs) for inputs, *_ in lesson.seen) < 100 + 2 * 20
     inputs, wanted, mask = (torch.cat(part) for part in zip(*lesson.seen, strict=True))
     chance = wanted.masked_fill(~mask, -torch.inf).softmax(-1)

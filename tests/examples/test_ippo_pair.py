@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from examples.ippo_pair import Settings, train
-from fishrl.envs import PredationPair, make_env
+from fishrl.envs import Flows, PredationPair, make_env
 from tests.envs.conftest import SMALL
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -20,8 +20,8 @@ def test_torchrls_multi_agent_modules_train_fish_as_they_are(is_central: bool) -
     settings = Settings(
         frames=32, frames_per_batch=16, num_epochs=2, batch_size=8, is_central=is_central
     )
-    policy, returns = train(make_env(task=task, num_envs=4, compile=False), settings)
+    policy, returns = train(make_env(task=task, flows=Flows(num_envs=4, compile=False)), settings)
     assert len(returns) >= 2 * 4 * 2  # two fish in four flows, at least twice
     assert all(p.isfinite().all() for p in policy.parameters())
-    rollout = make_env(task=task, num_envs=1, compile=False).rollout(3, policy)
+    rollout = make_env(task=task, flows=Flows(num_envs=1, compile=False)).rollout(3, policy)
     assert rollout["agents", "action"].shape[2:] == (2,)

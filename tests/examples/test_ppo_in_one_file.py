@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from examples.ppo_in_one_file import Settings, make_fish, train
-from fishrl.envs import Predation
+from fishrl.envs import Flows, Predation
 from tests.envs.conftest import SMALL
 from tests.envs.small_tasks import MaskedTask
 
@@ -31,7 +31,7 @@ class Eager(MaskedTask):
 
 def test_fish_learn_to_beat_as_fast_as_they_may() -> None:
     """Up and down by turns is the best: 1.5, 2, 1.5, ... beats; a random fish has 1.25."""
-    envs = make_fish(Eager(**BRIEF, time_limit=4), num_envs=8, compile=False)
+    envs = make_fish(Eager(**BRIEF, time_limit=4), flows=Flows(num_envs=8, compile=False))
     settings = Settings(total_steps=1536, num_steps=16, learning_rate=5e-3, entropy_weight=0.0)
     agent, returns = train(envs, settings)
     assert np.mean(returns[:64]) < 5.8
@@ -42,7 +42,7 @@ def test_fish_learn_to_beat_as_fast_as_they_may() -> None:
 def test_one_seed_gives_one_agent() -> None:
     agents = []
     for _ in range(2):
-        envs = make_fish(Predation(**BRIEF, time_limit=3), num_envs=2, compile=False)
+        envs = make_fish(Predation(**BRIEF, time_limit=3), flows=Flows(num_envs=2, compile=False))
         agents.append(train(envs, Settings(total_steps=32, num_steps=8))[0])
     for a, b in zip(*(agent.parameters() for agent in agents), strict=True):
         assert torch.equal(a, b)

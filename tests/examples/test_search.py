@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from fishrl.envs import Predation
+from fishrl.envs import Flows, Predation
 from fishrl.training.run_folder import RunFolder
 from tests.envs.conftest import SMALL
 
@@ -23,7 +23,7 @@ def test_killed_search_continues_its_unfinished_trial(
     from examples import search
 
     def go(trials: int) -> Any:
-        few = FEW | {"final_episodes": 1, "compile": False}
+        few = FEW | {"final_episodes": 1, "flows": Flows(num_envs=2, compile=False)}
         task = Predation(**SMALL, time_limit=3)
         return search.search(task, tmp_path, trials=trials, metric="mean_length_T", **few)
 

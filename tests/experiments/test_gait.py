@@ -29,8 +29,14 @@ from tests.training.conftest import read_rows
 pytestmark = pytest.mark.usefixtures("kinematic")
 
 SETTINGS = [
-    *("task=karman_gait", "preset=gait_small", *OVERRIDES, "task.time_limit=12", "compile=false"),
-    *("num_envs=4", "total_frames=48", "warmup_frames=16", "buffer_size=100", "batch_size=8"),
+    *(
+        "task=karman_gait",
+        "preset=gait_small",
+        *OVERRIDES,
+        "task.time_limit=12",
+        "flows.compile=false",
+    ),
+    *("flows.num_envs=4", "total_frames=48", "warmup_frames=16", "buffer_size=100", "batch_size=8"),
     *("eval_frames=48", "eval_episodes=4", "final_episodes=4", "hidden=[16]", "picture_episodes=0"),
 ]
 

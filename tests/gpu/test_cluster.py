@@ -8,7 +8,7 @@ import pytest
 import ray
 import torch
 
-from fishrl.envs import Predation
+from fishrl.envs import Flows, Predation
 from fishrl.training import Plan, begin, complete
 from tests.docs.test_tutorials import BRIEF
 from tests.envs.test_real_flow import TINY
@@ -40,9 +40,10 @@ def cluster() -> Iterator[None]:
 def make_plan(folder: Path, *, name: str, num_frames: int, ray_collectors: int = 2) -> Plan:
     return Plan(
         task=Predation(**TINY | BRIEF | {"time_limit": 2}),
-        num_envs=ray_collectors, ray_collectors=ray_collectors, warmup_frames=0,
+        flows=Flows(num_envs=ray_collectors, compile=False, device="cuda"),
+        ray_collectors=ray_collectors, warmup_frames=0,
         updates_per_frame=1.0, batch_size=2, hidden=(8,),
-        total_frames=num_frames, log_frames=1, compile=False, device="cuda", folder=str(folder),
+        total_frames=num_frames, log_frames=1, folder=str(folder),
         name=name, eval_episodes=1, final_episodes=1, baselines=(),
     )  # fmt: skip
 

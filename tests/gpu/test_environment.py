@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from fishrl.envs import Predation, make_env
+from fishrl.envs import Flows, Predation, make_env
 from fishrl.physics import InPlaceSolver
 from fishrl.physics.fast.stepper import Stepper
 from tests.docs.test_tutorials import BRIEF
@@ -32,7 +32,7 @@ def test_an_environment_on_a_gpu_does_what_it_does_on_a_cpu(name: str) -> None:
     """Three decisions, a saved and restored state; single precision."""
     task, rollouts = TASKS[name](), []
     for device in ("cuda", "cpu"):
-        env = make_env(task=task, num_envs=2, seed=0, device=device, compile=False)
+        env = make_env(task=task, flows=Flows(num_envs=2, device=device, compile=False), seed=0)
         rollouts.append(env.rollout(3, policy=first_legal, break_when_any_done=False))
         env.base_env.load_state_dict(env.base_env.state_dict())
         env.close()
@@ -54,7 +54,7 @@ def test_a_decision_does_not_wait_and_launches_few_operators_besides_the_steps_o
 
     The steps are recorded as graphs.
     """
-    env = make_env(task=TASKS[name](), num_envs=2, device="cuda", compile=False)
+    env = make_env(task=TASKS[name](), flows=Flows(num_envs=2, device="cuda", compile=False))
     state = first_legal(env.reset())
     with sys.modules["device"].Waits() as waits:
         env.step(state.clone())

@@ -8,7 +8,7 @@ import pytest
 import torch
 from tensordict.nn import CudaGraphModule
 
-from fishrl.envs import Predation
+from fishrl.envs import Flows, Predation
 from fishrl.training import (
     DiscreteSAC,
     LearningSettings,
@@ -40,13 +40,18 @@ pytestmark = [
 def test_a_run_goes_on_on_another_device(first: str, second: str, tmp_path: Path) -> None:
     summary = train(
         task=Predation(**TINY | BRIEF | {"time_limit": 2}),
-        learning=LearningSettings(num_envs=2, warmup_frames=2, batch_size=2, hidden=(8,)),
+        learning=LearningSettings(
+            flows=Flows(num_envs=2, compile=False, device=first),
+            warmup_frames=2, batch_size=2, hidden=(8,),
+        ),
         run=RunSettings(
-            total_frames=4, compile=False, device=first, folder=str(tmp_path), name="run",
+            total_frames=4, folder=str(tmp_path), name="run",
             eval_episodes=1, final_episodes=1, baselines=(),
         ),
     )  # fmt: skip
-    longer = resume(tmp_path / "run", total_frames=8, device=second)
+    longer = resume(
+        tmp_path / "run", total_frames=8, flows=Flows(num_envs=2, compile=False, device=second)
+    )
     assert (summary["frames"], longer["frames"]) == (4, 8)
 
 
@@ -64,8 +69,9 @@ def test_flows_and_networks_have_devices_of_their_own(
     def start(name: str, total_frames: int) -> Training:
         plan = Plan(
             task=Predation(**TINY | BRIEF | {"time_limit": 5}), algorithm=algorithm,
-            num_envs=2, warmup_frames=8, batch_size=8, hidden=(8,),
-            total_frames=total_frames, compile=False, device=device, learner_device=learner_device,
+            flows=Flows(num_envs=2, compile=False, device=device),
+            warmup_frames=8, batch_size=8, hidden=(8,),
+            total_frames=total_frames, learner_device=learner_device,
             folder=str(tmp_path), name=name, eval_frames=16, eval_episodes=1, final_episodes=1,
             baselines=(),
         )  # fmt: skip

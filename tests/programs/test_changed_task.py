@@ -98,18 +98,18 @@ def test_a_task_that_the_policy_does_not_fit_is_refused(
     tmp_path: Path, argument: str, said: str
 ) -> None:
     with pytest.raises(SystemExit) as error:
-        evaluate.main(["compile=false", store(tmp_path), *argument.split()])
+        evaluate.main(["flows.compile=false", store(tmp_path), *argument.split()])
     assert said in str(error.value)
 
 
 def test_a_policy_with_a_classifier_is_refused_for_its_task_first() -> None:
     with pytest.raises(SystemExit, match="was trained with task = 'KarmanGait'"):
-        evaluate.main(["compile=false", "policy=zoo/gait_sharp", "preset=quick"])
+        evaluate.main(["flows.compile=false", "policy=zoo/gait_sharp", "preset=quick"])
 
 
 def test_a_learned_policy_swims_in_a_changed_task(tmp_path: Path) -> None:
     saved = tmp_path / "result.json"
-    arguments = ["checkpoint=zoo/gait_bend", "episodes=2", "compile=false"]
+    arguments = ["checkpoint=zoo/gait_bend", "episodes=2", "flows.compile=false"]
     arguments += ["task.stream.has_disc=false", "task.time_limit=1", f"save={saved}"]
     evaluate.main(arguments)
     result = json.loads(saved.read_text())

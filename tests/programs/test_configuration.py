@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from fishrl.envs import KarmanGait
+from fishrl.envs import Flows, KarmanGait
 from fishrl.programs import evaluate, summarize, train, train_lateral_line
 from fishrl.programs.configuration import quote
 from fishrl.training.checkpoint import read_metadata
@@ -30,7 +30,8 @@ def test_the_hyperparameters_of_the_paper_are_the_defaults() -> None:
         (["totl_frames=3"], "total_frames"),
         (["algoritm=dqn"], "algorithm"),
         (["body_length=20"], "task.body_length"),
-        (["task.num_envs=3"], "num_envs"),
+        (["task.num_envs=3"], "flows.num_envs"),
+        (["device=cuda"], "flows.device"),
         (["task=karman_gait", "task.stream.has_disk=false"], "task.stream.has_disc"),
         (["logger=wandb", "logger.projct=x"], "logger.project"),
         (["preset=smal"], "small"),
@@ -105,19 +106,19 @@ def test_a_preset_brings_its_task_unless_another_one_is_chosen() -> None:
 
 
 def test_programs_that_train_nothing_take_only_the_task_of_a_preset() -> None:
-    with_preset = train_lateral_line.main.read(["preset=gait_small", "num_envs=3"])
+    with_preset = train_lateral_line.main.read(["preset=gait_small", "flows.num_envs=3"])
     plain = train_lateral_line.main.read()
     assert with_preset.task == read(["preset=gait_small"]).task != plain.task
     own = {name: getattr(plain, name) for name in ("task", "preset")}
-    assert vars(with_preset) | own == vars(plain) | {"num_envs": 3}
+    assert vars(with_preset) | own == vars(plain) | {"flows": Flows(num_envs=3)}
 
 
 def stored_run(folder: Path) -> Path:
-    write_yaml(folder / "config.yaml", read(["num_envs=5", "seed=3"]).to_config())
+    write_yaml(folder / "config.yaml", read(["flows.num_envs=5", "seed=3"]).to_config())
     return folder
 
 
-@pytest.mark.parametrize("argument", ["num_envs=4", "preset=paper", "task.time_limit=3"])
+@pytest.mark.parametrize("argument", ["flows.num_envs=4", "preset=paper", "task.time_limit=3"])
 def test_what_makes_the_result_is_fixed_in_a_run(tmp_path: Path, argument: str) -> None:
     with pytest.raises(ValueError, match="is fixed in"):
         read([f"resume='{stored_run(tmp_path)}'", argument])

@@ -17,7 +17,7 @@ from fishrl.viewer.fields import write_netcdf, write_vtk, write_zarr
 from fishrl.zoo import find_policy
 
 TINY = [
-    "policy=pursuit", "compile=false", "periods=1", "frames_per_T=2", "task.body_length=16",
+    "policy=pursuit", "flows.compile=false", "periods=1", "frames_per_T=2", "task.body_length=16",
     "task.reynolds=300", "task.max_wall_speed=0.15", "task.wall_margin_bl=0.3",
     "task.domain_bl=[5.0,3.0]", "task.start_x_bl=[2.5,3.5]", "task.start_y_bl=[1.2,1.8]",
     "task.food_x_bl=1.0", "task.food_y_bl=1.5", "task.food_limits_bl=[1.0,2.0]",
@@ -82,7 +82,7 @@ def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     tiny = [words for words in TINY if not words.startswith(("periods", "frames_per_T"))]
     settings = export_data.main.read(
-        [*tiny, "name=fishrl/pursuit-v0", "episodes=3", "num_envs=2", f"folder={tmp_path}",
+        [*tiny, "name=fishrl/pursuit-v0", "episodes=3", "flows.num_envs=2", f"folder={tmp_path}",
          "task.time_limit=4"]
     )  # fmt: skip
     export_data.record(settings)

@@ -28,8 +28,8 @@ def test_help_shows_choices_settings_and_what_they_mean(
     said = capsys.readouterr().out
     presets = "follower_small, gait_bend, gait_half, gait_narrow, gait_paper, gait_small"
     assert f"preset: one of {presets}" in said
-    assert "  num_envs=16  flows that advance together." in said
-    assert "  compile=true  " in said
+    assert "  flows.num_envs=16  flows that advance together." in said
+    assert "  flows.compile=true  " in said
     assert "  recognition=null  " in said
     assert "  hidden=[256,256]  " in said
     assert "  task.body_length=32  " in said

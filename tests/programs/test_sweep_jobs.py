@@ -36,7 +36,13 @@ HERE = "tests.training.faults"  # makes fish glide in the runs' own processes
 TASK = {"body_length": 20, "reynolds": 500, "max_wall_speed": 0.15, "wall_margin_bl": 0.15}
 SETTINGS = [
     *(f"task.{name}={value}" for name, value in TASK.items()),
-    *("task.time_limit=4", "compile=false", "num_envs=2", "total_frames=16", "warmup_frames=4"),
+    *(
+        "task.time_limit=4",
+        "flows.compile=false",
+        "flows.num_envs=2",
+        "total_frames=16",
+        "warmup_frames=4",
+    ),
     *("log_frames=4", "checkpoint_frames=4", "batch_size=4", "hidden=[8]", "eval_frames=8"),
     *("eval_episodes=2", "final_episodes=2", "picture_episodes=0", "baselines=[]"),
 ]
@@ -62,10 +68,10 @@ def test_jobs_are_named_after_what_differs() -> None:
 
 
 def test_jobs_are_listed_and_named_before_they_run() -> None:
-    line = ["num_envs=2", "seed=0,1", "task.time_limit=range(3,5)", "folder=runs/my sweep"]
+    line = ["flows.num_envs=2", "seed=0,1", "task.time_limit=range(3,5)", "folder=runs/my sweep"]
     planned = [job.settings for job in plan_jobs(line)]
     expected = [(f"seed_{s}-time_limit_{t}", s, 2, "runs/my sweep") for s in (0, 1) for t in (3, 4)]
-    assert [(job.name, job.seed, job.num_envs, job.folder) for job in planned] == expected
+    assert [(job.name, job.seed, job.flows.num_envs, job.folder) for job in planned] == expected
     files = list((CONF / "preset").glob("gait*"))
     assert len(plan_jobs(["preset=glob(gait*)"])) == len(files)
 
@@ -143,7 +149,7 @@ def test_a_run_of_the_same_settings_is_continued_and_one_of_others_is_refused(
 
 def test_settings_that_an_algorithm_adapts_are_those_of_its_run(tmp_path: Path) -> None:
     job = begin(tmp_path, "algorithm=ppo")
-    assert read_config(job.path / "config.yaml")["buffer_size"] == job.settings.num_envs * 32
+    assert read_config(job.path / "config.yaml")["buffer_size"] == job.settings.flows.num_envs * 32
     assert not find_result(job.settings)
 
 
@@ -163,7 +169,13 @@ def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
 
 
 def test_runs_that_are_logged_and_compared_otherwise_are_one_group(tmp_path: Path) -> None:
-    given = ["port=9900", "live_share=0.2", "flows=[0,1]", "log_frames=8", "checkpoint_frames=8"]
+    given = [
+        "port=9900",
+        "live_share=0.2",
+        "shown_flows=[0,1]",
+        "log_frames=8",
+        "checkpoint_frames=8",
+    ]
     given += ["keep_checkpoints=4", "picture_episodes=0", "baselines=[random]", "live=true"]
     given.append("logger=wandb")
     for name, words in {"a": [], "b": given, "c": ["eval_frames=8"]}.items():

@@ -39,7 +39,13 @@ def forget(monkeypatch: pytest.MonkeyPatch) -> None:
 
 SETTINGS = [
     *("task=hold_station", *(f"task.{name}={value}" for name, value in SMALL.items())),
-    *("task.time_limit=3", "compile=false", "num_envs=2", "total_frames=8", "warmup_frames=4"),
+    *(
+        "task.time_limit=3",
+        "flows.compile=false",
+        "flows.num_envs=2",
+        "total_frames=8",
+        "warmup_frames=4",
+    ),
     *("log_frames=4", "checkpoint_frames=8", "eval_frames=8", "eval_episodes=2"),
     *("final_episodes=2", "batch_size=4", "hidden=[8]"),
 ]
@@ -61,7 +67,7 @@ def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
     assert (run / "learning_curve.png").is_file()
     advice = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("evaluate: "))
     saved = tmp_path / "result.json"
-    given = [f"checkpoint={run}", "episodes=2", "compile=false", f"save={saved}"]
+    given = [f"checkpoint={run}", "episodes=2", "flows.compile=false", f"save={saved}"]
     trusted = "modules=[hold_station,my_learning]"
     for needed in ([folder], ["modules=[hold_station]"]):  # my_learning is named nowhere
         forget(monkeypatch)
@@ -73,7 +79,9 @@ def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
     evaluate.main([*given, "modules=my_learning", folder])
     assert json.loads(saved.read_text())["task"] == "HoldStation"
     forget(monkeypatch)
-    view.main([f"checkpoint={run}", trusted, "compile=false", "periods=1", f"save={run / 'x.rrd'}"])
+    view.main(
+        [f"checkpoint={run}", trusted, "flows.compile=false", "periods=1", f"save={run / 'x.rrd'}"]
+    )
     assert (run / "x.rrd").is_file()
     forget(monkeypatch)
     train.main([f"resume={run}", trusted, "total_frames=12"])
@@ -96,16 +104,16 @@ def test_help_and_presets_know_tasks_from_outside(outside: Path) -> None:
     assert re.search(r"task: one of .*follower, .*hold_station, ", said)
     assert re.search(r"^  task\.leash_bl=\d", said, re.MULTILINE)
     settings = train.main.read([folder, "preset=mine"])
-    assert (settings.num_envs, settings.preset) == (8, "mine")
+    assert (settings.flows.num_envs, settings.preset) == (8, "mine")
     assert (settings.task.leash_bl, settings.task.time_limit) == (1.5, 20)
 
 
 @pytest.mark.parametrize(
     ("file", "text", "said"),
     [
-        ("preset", "# @package _global_\nnum_env: 2", "no 'num_env'; did you mean 'num_envs'?"),
-        ("preset", "# @package _global_\nnum_envs: [", "wrong.yaml"),
-        ("preset", "num_envs: 2", "preset"),
+        ("preset", "# @package _global_\nflows: {num_env: 2}", "did you mean 'flows.num_envs'?"),
+        ("preset", "# @package _global_\nflows: [", "wrong.yaml"),
+        ("preset", "batch_size: 2", "preset"),
         ("task", "body_length: 20", "task: give a _target_ and its arguments"),
         ("task", "{_target_: fishrl.envs.Predation, reynold: 9}", "did you mean 'task.reynolds'?"),
     ],

@@ -30,8 +30,8 @@ from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, write_yaml
 
 PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
-    "evaluate": (evaluate.main, ("checkpoint={run}", "task.time_limit=3", "compile=false")),
-    "view": (view.main, ("checkpoint={run}", "save={run}/x.rrd", "compile=false")),
+    "evaluate": (evaluate.main, ("checkpoint={run}", "task.time_limit=3", "flows.compile=false")),
+    "view": (view.main, ("checkpoint={run}", "save={run}/x.rrd", "flows.compile=false")),
     "resume": (train.main, ("resume={run}",)),
     "own files": (train.main, ("resume={run}", "--config-dir={run}/..")),
     "train": (train.main, ("task=karman_gait", "folder={run}/..", "name=run")),

@@ -25,7 +25,7 @@ from tests.training.conftest import read_rows
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
-GAIT = ["preset=gait_small", *OVERRIDES, "compile=false"]
+GAIT = ["preset=gait_small", *OVERRIDES, "flows.compile=false"]
 
 
 def list_entities(path: Path) -> str:
@@ -37,7 +37,7 @@ def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "x.rrd"
-    arguments = ["policy=pid", "episodes=4", "flows=[1,3]", "periods=1", f"save={path}"]
+    arguments = ["policy=pid", "episodes=4", "shown_flows=[1,3]", "periods=1", f"save={path}"]
     view.main([*GAIT, "recognition=oracle", *arguments])
     assert capsys.readouterr().out == f"written: {path}, {path.stat().st_size / 1e6:.2f} MB\n"
     shown = list_entities(path)
@@ -49,7 +49,7 @@ def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
 @pytest.mark.parametrize("ending", ["mp4", "gif"])
 def test_a_flow_is_filmed(ending: str, tmp_path: Path) -> None:
     film = f"{tmp_path}/x.{ending}"
-    words = ["policy=pursuit", "compile=false", "periods=1"]
+    words = ["policy=pursuit", "flows.compile=false", "periods=1"]
     view.main([*words, f"save={film}"])
     num_frames, _ = imageio_ffmpeg.count_frames_and_secs(film)
     assert num_frames > 4
@@ -109,7 +109,10 @@ def test_a_live_view_streams_and_stays_until_an_interrupt(
         ([], "error: give exactly one of the path of a .rrd file"),
         (["nowhere.rrd"], r"error: no \.rrd file at nowhere\.rrd"),
         (["checkpoint=nowhere"], "error: checkpoint nowhere: there is none"),
-        ([*GAIT, "policy=pid", "flows=[1]", "save=x.rrd"], r"error: flows = \[1\]: must be some"),
+        (
+            [*GAIT, "policy=pid", "shown_flows=[1]", "save=x.rrd"],
+            r"error: shown_flows = \[1\]: must be some",
+        ),
         (["policy=pid", "save=x.avi"], r"error: save = x\.avi: must end in one of \.rrd, \.mp4"),
         (
             [*GAIT, "policy=pid", "save=x.rrd", "screenshot=nowhere/x.png"],
@@ -144,7 +147,7 @@ def test_a_training_with_a_live_view_learns_the_same(
         draw(drawing, flow, frame)
 
     monkeypatch.setattr(Drawing, "draw", note)
-    seen = ["name=seen", "live=true", "flows=[1,2]", "port=29620", "live_share=1.0"]
+    seen = ["name=seen", "live=true", "shown_flows=[1,2]", "port=29620", "live_share=1.0"]
     complete(set_up(TRAINING.read([*settings, *seen])))
     assert read_rows(tmp_path / "seen") == read_rows(tmp_path / "alone")
     assert {flow for flow, _ in drawn} == {1, 2}

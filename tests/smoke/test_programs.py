@@ -35,9 +35,9 @@ REAL: dict[str, dict[str, Any]] = {
 }
 KINEMATIC: dict[str, Any] = SMALL | BRIEF | {"wall_margin_bl": 0.25}
 #: Eager flows, on the device that ``make test-gpu`` names.
-EAGER = ["compile=false", f"device={os.environ.get('SMOKE_DEVICE', 'cpu')}"]
+EAGER = ["flows.compile=false", f"flows.device={os.environ.get('SMOKE_DEVICE', 'cpu')}"]
 FEW = [
-    *(*EAGER, "num_envs=2", "total_frames=4", "warmup_frames=2", "updates_per_frame=1"),
+    *(*EAGER, "flows.num_envs=2", "total_frames=4", "warmup_frames=2", "updates_per_frame=1"),
     *("batch_size=2", "hidden=[8]", "log_frames=2", "checkpoint_frames=4", "eval_frames=4"),
     *("eval_episodes=1", "final_episodes=1", "task.time_limit=2"),
 ]
@@ -135,7 +135,7 @@ def test_policy_of_continuous_actions_is_trained_evaluated_and_exported(
     rollout = ["algorithm.rollout_length=2"] if algorithm == "ppo" else []
     run = _train(tmp_path, algorithm, *chosen, *rollout, pictures=1)
     _run("export-policy", f"run={run}", f"folder={tmp_path / 'policy'}")
-    _run("evaluate", f"checkpoint={tmp_path / 'policy'}", "episodes=1", "num_envs=1", *EAGER)
+    _run("evaluate", f"checkpoint={tmp_path / 'policy'}", "episodes=1", "flows.num_envs=1", *EAGER)
 
 
 @pytest.mark.usefixtures("kinematic")
@@ -151,7 +151,7 @@ def test_each_baseline_is_evaluated(task: str, policy: str) -> None:
     chosen = [f"policy={policy}", f"task={task}", *_set_task(KINEMATIC), "task.time_limit=2"]
     if task == "predation":  # pursuers decide once per T
         chosen += ["task.control_interval_T=1", "task.checks_per_action=25"]
-    _run("evaluate", *chosen, "episodes=2", "num_envs=2", *EAGER)
+    _run("evaluate", *chosen, "episodes=2", "flows.num_envs=2", *EAGER)
 
 
 @pytest.mark.xdist_group("predation_run")
@@ -159,7 +159,7 @@ def test_learned_policy_is_shown_and_exported(predation_run: Path, tmp_path: Pat
     few = [f"checkpoint={predation_run}", *EAGER]
     _run("export", *few, f"save={tmp_path / 'flow.nc'}", "periods=1", "frames_per_T=2")
     assert (tmp_path / "flow.nc").stat().st_size > 1000
-    data = ["name=catches-v0", f"folder={tmp_path / 'data'}", "episodes=1", "num_envs=1"]
+    data = ["name=catches-v0", f"folder={tmp_path / 'data'}", "episodes=1", "flows.num_envs=1"]
     _run("export-data", *few, *data)
     assert (tmp_path / "data/catches-v0/data/main_data.hdf5").is_file()
     _run("view", *few, f"save={tmp_path / 'flow.rrd'}", "periods=1")
@@ -181,7 +181,7 @@ def test_summarize_writes_its_tables(predation_run: Path) -> None:
 
 @pytest.mark.usefixtures("kinematic")
 def test_lateral_line_classifier_is_trained(tmp_path: Path) -> None:
-    few = ["num_samples=96", "max_decisions=2", "num_envs=6", "num_epochs=2", "hidden=[8]"]
+    few = ["num_samples=96", "max_decisions=2", "flows.num_envs=6", "num_epochs=2", "hidden=[8]"]
     places = [f"folder={tmp_path}", "name=line", f"data_folder={tmp_path / 'data'}"]
     _run("train-lateral-line", *few, *places, *_set_task(KINEMATIC), *EAGER)
     assert (tmp_path / "line" / "classifier.pt").is_file()

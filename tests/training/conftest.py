@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 import torch
 
+from fishrl.envs import Flows
 from fishrl.training import Callback, Plan, begin, reopen
 from fishrl.training.loop import Training
 from tests.training.toy_fish import ToyPredation, make_any_env
 
 DEFAULTS: dict[str, Any] = {
-    "compile": False,
-    "num_envs": 8,
+    "flows": Flows(num_envs=8, compile=False),
     "total_frames": 240,
     "warmup_frames": 80,
     "updates_per_frame": 0.25,

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import PredationPair, make_env
+from fishrl.envs import Flows, PredationPair, make_env
 from fishrl.training import begin, complete
 from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.cluster import ClusterCollector
@@ -24,7 +24,7 @@ def test_invalid_numbers_of_collectors_are_refused(
 ) -> None:
     monkeypatch.setattr("fishrl.training.resolve.find_spec", lambda name: None)
     for wrong, said in (
-        ({"ray_collectors": 3}, "num_envs = 8: must be a multiple of"),
+        ({"ray_collectors": 3}, "flows.num_envs = 8: must be a multiple of"),
         ({"ray_collectors": -1}, "ray_collectors = -1: must be greater than or equal to 0"),
         ({"ray_collectors": 2}, "needs Ray: pip install 'ray"),
     ):
@@ -116,7 +116,7 @@ def test_collectors_use_the_newest_weights_and_count_the_frames_of_flows(
     toy: Toy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of two fish each: trajectories are distinct, and epsilon decays by flows, not by fish."""
-    few = {"ray_collectors": 2, "num_envs": 4, "warmup_frames": 4}
+    few = {"ray_collectors": 2, "flows": Flows(num_envs=4, compile=False), "warmup_frames": 4}
     plan = make_toy_plan(toy.folder, algorithm=DQN(epsilon_end=0.0, epsilon_frames=16), **few)
     pair = PredationPair(**SMALL, control_interval_T=0.25, checks_per_action=6)
     monkeypatch.setattr("fishrl.training.resolve.make_env", make_gliding_env)

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from fishrl.envs import Flows
 from fishrl.envs.episodes import Episodes, Policy, run_episodes
 from fishrl.modules import PursuitPolicy, RandomPolicy
 from fishrl.training.evaluation import fixed_starts
@@ -20,7 +21,7 @@ class Fixed:
     def __init__(self, num_envs: int, num_starts: int, **task_arguments: float) -> None:
         task = ToyPredation(**task_arguments)  # type: ignore[arg-type]
         self.starts = fixed_starts(task, num_starts, seed=0)
-        self.env = make_toy_env(task=task, num_envs=num_envs, seed=5)
+        self.env = make_toy_env(task=task, flows=Flows(num_envs=num_envs), seed=5)
 
     def run(self, policy: Policy, **kwargs: Any) -> Episodes:
         return run_episodes(self.env, policy, self.starts, **kwargs)

@@ -17,7 +17,7 @@ import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
-from fishrl.envs import Predation
+from fishrl.envs import Flows, Predation
 from fishrl.envs.episodes import Episodes
 from fishrl.training import Algorithm, Callback, DiscreteSAC, Interrupted, begin
 from fishrl.training.algorithms.drqn import DRQN
@@ -108,7 +108,12 @@ def test_diverging_flows_do_not_stop_a_run(
             self.body.position[num_calls[0] % self.num_envs] = torch.nan
 
     monkeypatch.setattr(KinematicSolver, "advance_", advance_and_break)
-    few = QUICK | {"num_envs": 3, "total_frames": 120, "warmup_frames": 30, "eval_frames": 60}
+    few = QUICK | {
+        "flows": Flows(num_envs=3),
+        "total_frames": 120,
+        "warmup_frames": 30,
+        "eval_frames": 60,
+    }
     plan = make_toy_plan(toy.folder, algorithm=algorithm, **few)
     training = begin(replace(plan, task=Predation(**SMALL)))
     summary = training.run()
@@ -192,8 +197,18 @@ def test_run_interrupted_in_on_end_is_not_finished(toy: Toy) -> None:
         assert (toy.folder / name / "summary.json").is_file() == is_there
 
 
-ONLINE = {"total_frames": 6_144, "num_envs": 32, "eval_frames": 2_048, "checkpoint_frames": 6_144}
-OFFLINE = {"total_frames": 1600, "num_envs": 16, "eval_frames": 400, "warmup_frames": 320}
+ONLINE = {
+    "total_frames": 6_144,
+    "flows": Flows(num_envs=32),
+    "eval_frames": 2_048,
+    "checkpoint_frames": 6_144,
+}
+OFFLINE = {
+    "total_frames": 1600,
+    "flows": Flows(num_envs=16),
+    "eval_frames": 400,
+    "warmup_frames": 320,
+}
 OFFLINE |= {"updates_per_frame": 1.0, "tau": 0.03, "buffer_size": 2000}
 
 
@@ -230,7 +245,7 @@ def test_the_fish_learns_to_catch_still_food(
 def test_toy_env_passes_check_env_specs(is_continuous: bool) -> None:
     """The stand-in passes TorchRL's own check, so that a failure here is one of the loop."""
     task: Any = ToyPredation(is_continuous=is_continuous)
-    check_env_specs(make_toy_env(task=task, num_envs=3, seed=0))
+    check_env_specs(make_toy_env(task=task, flows=Flows(num_envs=3), seed=0))
 
 
 def test_run_without_gradient_steps_warns_once(toy: Toy, caplog: pytest.LogCaptureFixture) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from fishrl.envs import Oracle, PredictedFlowLabel, TrueFlowLabel
+from fishrl.envs import Flows, Oracle, PredictedFlowLabel, TrueFlowLabel
 from fishrl.training import Algorithm, Callback, DiscreteSAC, evaluate, load_plan, load_policy
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
@@ -28,7 +28,7 @@ def test_evaluate_reproduces_the_final_evaluation_of_a_run(toy: Toy, algorithm: 
     task = {"is_continuous": algorithm.takes_continuous}
     few = QUICK | {"final_episodes": 10}
     summary = toy.begin(name="run", algorithm=algorithm, task=task, **few).run()
-    result = evaluate(toy.folder / "run", episodes=10, compile=False)
+    result = evaluate(toy.folder / "run", episodes=10, flows=Flows(compile=False))
     assert result == {name: summary[name] for name in result}
 
 
@@ -46,7 +46,9 @@ def test_flows_are_labelled_as_in_the_run_unless_another_source_is_named(
 
     given = {"task": replace(load_plan(run).task, time_limit=2)} if is_task_given else {}
     for source in ({}, {"recognition": Oracle()}, {"recognition": None}):
-        evaluate(run, **given, **source, episodes=1, compile=False, callbacks=[Labels()])
+        evaluate(
+            run, **given, **source, episodes=1, flows=Flows(compile=False), callbacks=[Labels()]
+        )
     assert labelled_by == [{PredictedFlowLabel}, {TrueFlowLabel}, set()]
 
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from fishrl.envs import KarmanGait, Oracle, Predation, make_env
+from fishrl.envs import Flows, KarmanGait, Oracle, Predation, make_env
 from fishrl.envs.streams import Stream
 from fishrl.physics import InPlaceSolver
 from fishrl.training import Plan
@@ -32,7 +32,7 @@ def test_a_wrong_observation_size_is_reported_before_the_compile(
 
     monkeypatch.setattr(InPlaceSolver, "compile", lambda *_, **__: pytest.fail("compiled"))
     with pytest.raises(ValueError, match=r"Wrong.observe gives .*\(1, 4\).* shape \(1, 5\)"):
-        make_env(task=Wrong(**SMALL), num_envs=1)
+        make_env(task=Wrong(**SMALL), flows=Flows(num_envs=1))
 
 
 @pytest.mark.parametrize(

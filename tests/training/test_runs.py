@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import FlowEnv, Predation
+from fishrl.envs import FlowEnv, Flows, Predation
 from fishrl.training import (
     Algorithm,
     Callback,
@@ -43,12 +43,12 @@ def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path
     summary = train(
         task=Predation(**SMALL, time_limit=6),
         algorithm=DiscreteSAC(target_entropy_weight=0.2),
-        learning=LearningSettings(num_envs=4, warmup_frames=8, buffer_size=100, hidden=(16,)),
-        run=RunSettings(
-            total_frames=40, compile=False, folder=str(tmp_path), name="first", final_episodes=3
+        learning=LearningSettings(
+            flows=Flows(num_envs=4, compile=False), warmup_frames=8, buffer_size=100, hidden=(16,)
         ),
+        run=RunSettings(total_frames=40, folder=str(tmp_path), name="first", final_episodes=3),
     )
-    result = evaluate(tmp_path / "first", episodes=3, num_envs=4, compile=False)
+    result = evaluate(tmp_path / "first", episodes=3, flows=Flows(num_envs=4, compile=False))
     assert result["mean_return"] == summary["mean_return"]
     longer = resume(tmp_path / "first", total_frames=48)
     assert (summary["frames"], longer["frames"]) == (40, 48)
@@ -60,7 +60,8 @@ def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path
 
 def test_run_in_a_real_flow_stopped_amid_episodes_continues_exactly(tmp_path: Path) -> None:
     few = {"total_frames": 16, "warmup_frames": 4, "buffer_size": 8, "log_frames": 2}
-    few |= {"checkpoint_frames": 2, "eval_frames": 8, "num_envs": 2, "batch_size": 4}
+    few |= {"checkpoint_frames": 2, "eval_frames": 8, "batch_size": 4}
+    few |= {"flows": Flows(num_envs=2, compile=False)}
     task = Predation(**TINY, control_interval_T=0.25, checks_per_action=6, time_limit=4)
 
     def start(name: str) -> Training:
@@ -175,9 +176,13 @@ def test_changes_of_a_resume_are_stored_with_the_entries_of_programs(toy: Toy) -
     write_yaml(config, read_config(config) | {"picture_episodes": 6})
     run_and_stop(toy.reopen("run", total_frames=160), ToyFishEnv, step=3)
     stored = read_config(config)
-    assert (stored["total_frames"], stored["picture_episodes"], stored["num_envs"]) == (160, 6, 8)
+    assert (stored["total_frames"], stored["picture_episodes"], stored["flows"]["num_envs"]) == (
+        160,
+        6,
+        8,
+    )
     assert toy.reopen("run").run()["frames"] == 160
-    for wrong in ({"gamma": 0.9}, {"task": None}, {"total_frame": 200}):
+    for wrong in ({"gamma": 0.9}, {"flows": Flows(num_envs=4)}, {"total_frame": 200}):
         with pytest.raises(ValueError, match=r"is fixed in a run|did you mean 'total_frames'"):
             toy.reopen("run", **wrong)
 
@@ -208,10 +213,12 @@ def test_training_a_named_run_again_continues_it_or_returns_its_summary(toy: Toy
 
     def run(total_frames: int) -> dict[str, Any]:
         phases.clear()
-        few: dict[str, Any] = QUICK | {"folder": str(toy.folder), "compile": False}
+        few: dict[str, Any] = QUICK | {"folder": str(toy.folder)}
         return train(
             task=ToyPredation(),  # type: ignore[arg-type]
-            learning=LearningSettings(num_envs=8, warmup_frames=80, updates_per_frame=0.1),
+            learning=LearningSettings(
+                flows=Flows(num_envs=8), warmup_frames=80, updates_per_frame=0.1
+            ),
             run=RunSettings(name="run", total_frames=total_frames, **few),
             callbacks=[Phases()],
         )

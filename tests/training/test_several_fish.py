@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import PredationPair, make_env
+from fishrl.envs import Flows, PredationPair, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.modules import PursuitPolicy
 from fishrl.training import Algorithm, DiscreteSAC, Plan, begin, evaluate, reopen
@@ -23,7 +23,12 @@ pytestmark = pytest.mark.usefixtures("kinematic")
 
 
 def make_plan(folder: Path, *, algorithm: Algorithm, **changes: Any) -> Plan:
-    few = {"num_envs": 3, "warmup_frames": 6, "updates_per_frame": 0.5, "batch_size": 4}
+    few = {
+        "flows": Flows(num_envs=3, compile=False),
+        "warmup_frames": 6,
+        "updates_per_frame": 0.5,
+        "batch_size": 4,
+    }
     few |= {"total_frames": 24, "log_frames": 12, "checkpoint_frames": 6, "eval_frames": 24}
     given = QUICK | few | {"name": "pair", "baselines": ("random",)} | changes
     plan = make_toy_plan(folder, algorithm=algorithm, **given)
@@ -48,7 +53,7 @@ def test_buffer_holds_the_transitions_of_each_fish(tmp_path: Path, algorithm: Al
     assert names <= summary.keys()
     assert "eval/contact_rate" in read_rows(tmp_path / "pair")[0]
     training.close()
-    again = evaluate(tmp_path / "pair", episodes=2, compile=False)
+    again = evaluate(tmp_path / "pair", episodes=2, flows=Flows(compile=False))
     assert again["mean_return"] == summary["mean_return"]
 
 
@@ -84,7 +89,7 @@ def test_a_recurrent_policy_of_several_fish_is_refused(tmp_path: Path) -> None:
 
 def test_pursuit_catches_the_food_and_outcomes_are_counted() -> None:
     task = PredationPair(**SMALL, time_limit=60)
-    env = make_env(task=task, num_envs=4, compile=False)
+    env = make_env(task=task, flows=Flows(num_envs=4, compile=False))
     starts = task.sample_starts(8, torch.Generator().manual_seed(0))
     outcome = run_episodes(env, PursuitPolicy(), starts)
     caught = outcome.counted["caught_0"] | outcome.counted["caught_1"]

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import Predation, make_env
+from fishrl.envs import Flows, Predation, make_env
 from fishrl.physics import Coupling, DCylinder, FlowConfig, InPlaceSolver
 from tests.envs.test_real_flow import TINY
 from tests.training.conftest import QUICK, Toy, read_rows
@@ -51,7 +51,7 @@ def step_env(coupling: Coupling, state_of: Callable[[], State]) -> list[dict[Any
         **TINY, action="continuous", control_interval_T=0.25, checks_per_action=6, coupling=coupling
     )
     with state_of()():
-        env = make_env(task=task, num_envs=1, compile=False, seed=3)
+        env = make_env(task=task, flows=Flows(num_envs=1, compile=False), seed=3)
     with state_of()():
         state = env.reset()
     results = [state.clone()]
@@ -126,7 +126,9 @@ def test_training_is_the_same_in_every_global_state_of_torch(toy: Toy, whole: An
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.int16, torch.int32, torch.bool])
 def test_actions_of_every_integer_type_mean_the_same(dtype: torch.dtype) -> None:
     task = Predation(**TINY, control_interval_T=0.25, checks_per_action=6)
-    env, other = (make_env(task=task, num_envs=1, compile=False, seed=3) for _ in range(2))
+    env, other = (
+        make_env(task=task, flows=Flows(num_envs=1, compile=False), seed=3) for _ in range(2)
+    )
     one = torch.ones(1)
     got, expected = (
         each.step(each.reset().set("action", action))["next", "observation"]
@@ -140,7 +142,7 @@ def test_a_device_that_is_not_there_is_refused(device: str) -> None:
     config = FlowConfig(width=32, height=24, tau=0.6)
     for make in (
         lambda: InPlaceSolver(config=config, num_envs=1, device=device),
-        lambda: make_env(task=Predation(**TINY), num_envs=1, device=device),
+        lambda: make_env(task=Predation(**TINY), flows=Flows(num_envs=1, device=device)),
     ):
         with pytest.raises(ValueError, match=f"device = '{device}': must be cpu, cuda"):
             make()

@@ -27,7 +27,7 @@ from torchrl.envs import (
     TransformedEnv,
 )
 
-from fishrl.envs import AbstractTask, Predation, make_env
+from fishrl.envs import AbstractTask, Flows, Predation, make_env
 from fishrl.modules.controllers import LEAD_T
 from fishrl.physics.flow import Coupling
 
@@ -207,12 +207,12 @@ class ToyFishEnv(EnvBase):
 def make_toy_env(
     *,
     task: ToyPredation,
-    num_envs: int,
+    flows: Flows,
     seed: int,
     **_: Any,
 ) -> TransformedEnv:
     """Stand in for ``fishrl.envs.making.make_env``."""
-    env = TransformedEnv(ToyFishEnv(task=task, num_envs=num_envs, seed=seed))
+    env = TransformedEnv(ToyFishEnv(task=task, num_envs=flows.num_envs, seed=seed))
     for transform in (
         InitTracker(),
         StepCounter(max_steps=task.time_limit),

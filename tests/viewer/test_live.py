@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import Predation, make_env
+from fishrl.envs import Flows, Predation, make_env
 from fishrl.envs.scene import Frame
 from fishrl.programs.live import LiveView
 from fishrl.viewer import Drawing, Server, ViewerSettings, start_drawing
@@ -93,8 +93,12 @@ class Shown:
     def __init__(self, *, port: int, share: float = 1.0) -> None:
         self.task = Predation(**SMALL, time_limit=2)
         checks = self.task.checks_per_action
-        self.env = make_env(task=self.task, num_envs=2, compile=False, frames_per_action=checks)
-        settings = ViewerSettings(live=True, flows=[1], port=port, live_share=share, frames_per_T=5)
+        self.env = make_env(
+            task=self.task, flows=Flows(num_envs=2, compile=False), frames_per_action=checks
+        )
+        settings = ViewerSettings(
+            live=True, shown_flows=[1], port=port, live_share=share, frames_per_T=5
+        )
         self.live = LiveView(settings, num_flows=2)
         self.live.on_begin(self.env)
         self.state = self.env.reset()

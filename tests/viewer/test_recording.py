@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import KarmanGait, Oracle, Predation, make_env
+from fishrl.envs import Flows, KarmanGait, Oracle, Predation, make_env
 from fishrl.envs.scene import Ending, Frame
 from fishrl.viewer import Recording, make_env_scene, name_flows, record_episodes
 from fishrl.viewer.recording import Recorder
@@ -21,7 +21,9 @@ class Recorded:
     def __init__(self, *, frames_per_T: int) -> None:
         task = Predation(**TASK)
         checks = task.checks_per_action
-        self.env = make_env(task=task, num_envs=2, compile=False, frames_per_action=checks)
+        self.env = make_env(
+            task=task, flows=Flows(num_envs=2, compile=False), frames_per_action=checks
+        )
         self.base, self.given = self.env.base_env, defaultdict[int, list[Frame]](list)
         give = lambda row, frame: self.given[row].append(frame)  # noqa: E731
         scene = make_env_scene(self.env)
@@ -72,10 +74,10 @@ def test_frames_of_diverged_decision_are_dropped() -> None:
 
 def record(num_envs: int, *, device: str = "cpu") -> tuple[Predation, list[Recording], Any]:
     """Record an episode that catches the food, and one that misses it."""
-    task, settings = Predation(**TASK), {"device": device, "compile": False}
+    task, flows = Predation(**TASK), Flows(num_envs=num_envs, device=device, compile=False)
     starts = starts_at((5.0, 2.5), (5.0, 3.75))
     checks = task.checks_per_action
-    env = make_env(task=task, num_envs=num_envs, frames_per_action=checks, **settings)
+    env = make_env(task=task, flows=flows, frames_per_action=checks)
     env.rollout(1)
     scene = make_env_scene(env)
     recordings = [Recording(scene=scene), Recording(scene=scene)]
@@ -131,7 +133,7 @@ def test_gpu_flows_are_recorded_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.parametrize("recognition", [None, Oracle()])
 def test_plots_of_missing_outputs_are_omitted(recognition: Oracle | None) -> None:
     task = KarmanGait(**{**SMALL, "wall_margin_bl": 0.25})
-    env = make_env(task=task, num_envs=1, compile=False, recognition=recognition)
+    env = make_env(task=task, flows=Flows(num_envs=1, compile=False), recognition=recognition)
     scene = make_env_scene(env, field="pressure", field_limit=7.0)
     names = {panel.name for panel in scene.panels}
     assert ("class probabilities" in names) == (recognition is not None)

@@ -11,7 +11,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
-from fishrl.envs import AbstractTask, Predation, make_env
+from fishrl.envs import AbstractTask, Flows, Predation, make_env
 from fishrl.wrappers.gymnasium import FlowVectorEnv
 from tests.envs.conftest import SMALL
 from tests.envs.small_tasks import MaskedTask
@@ -25,7 +25,9 @@ def make(
     mode: str = "NextStep", task: AbstractTask | None = None, *, num_envs: int = 2
 ) -> FlowVectorEnv:
     task = task or Predation(**SMALL, time_limit=LIMIT)
-    return FlowVectorEnv(make_env(task=task, num_envs=num_envs, compile=False), autoreset_mode=mode)
+    return FlowVectorEnv(
+        make_env(task=task, flows=Flows(num_envs=num_envs, compile=False)), autoreset_mode=mode
+    )
 
 
 def keep(num: int = 2) -> np.ndarray:
@@ -52,7 +54,7 @@ def test_observations_and_actions_belong_to_their_spaces() -> None:
 
 def test_steps_equal_torchrl_environment() -> None:
     task = Predation(**SMALL, time_limit=LIMIT)
-    rollout = make_env(task=task, num_envs=2, seed=3, compile=False).rollout(
+    rollout = make_env(task=task, flows=Flows(num_envs=2, compile=False), seed=3).rollout(
         8, lambda td: td.set("action", torch.full((2,), 2)), break_when_any_done=False
     )
     envs = make("SameStep", task)

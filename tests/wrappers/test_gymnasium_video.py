@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fishrl.envs import Predation, make_env
+from fishrl.envs import Flows, Predation, make_env
 from fishrl.wrappers.gymnasium import FlowVectorEnv
 from tests.envs.conftest import SMALL
 
@@ -13,7 +13,7 @@ TASK = Predation(**SMALL, domain_bl=(6.0, 4.0), start_x_bl=(3.0, 4.0))
 
 
 def make(**options: str) -> FlowVectorEnv:
-    env = make_env(task=TASK, num_envs=2, compile=False)
+    env = make_env(task=TASK, flows=Flows(num_envs=2, compile=False))
     return FlowVectorEnv(env, render_mode="rgb_array", **options)
 
 
@@ -54,7 +54,7 @@ def test_path_restarts_with_each_episode() -> None:
 @pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize(("mode", "end"), [("NextStep", "time is over"), ("SameStep", "")])
 def test_last_picture_of_episode_shows_ending(mode: str, end: str) -> None:
-    env = make_env(task=replace(TASK, time_limit=2), num_envs=1, compile=False)
+    env = make_env(task=replace(TASK, time_limit=2), flows=Flows(num_envs=1, compile=False))
     envs = FlowVectorEnv(env, render_mode="rgb_array", autoreset_mode=mode)
     envs.reset(seed=0)
     words = []
@@ -70,7 +70,7 @@ def test_last_picture_of_episode_shows_ending(mode: str, end: str) -> None:
 
 
 def test_render_needs_render_mode() -> None:
-    env = make_env(task=TASK, num_envs=1, compile=False)
+    env = make_env(task=TASK, flows=Flows(num_envs=1, compile=False))
     with pytest.raises(ValueError, match="rgb_array"):
         FlowVectorEnv(env).render()
     with pytest.raises(ValueError, match="render_mode = 'human'"):

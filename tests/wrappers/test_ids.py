@@ -9,12 +9,12 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 from pettingzoo.test import parallel_api_test
 
-from fishrl.envs import Predation, PredationPair, make_env
+from fishrl.envs import Flows, Predation, PredationPair, make_env
 from fishrl.wrappers.gymnasium import TASKS, FlowVectorEnv
 from fishrl.wrappers.pettingzoo import FlowParallelEnv
 from tests.envs.conftest import SMALL
 
-SETTINGS = {**SMALL, "time_limit": 3, "compile": False}
+SETTINGS = {**SMALL, "time_limit": 3, "flows": Flows(compile=False)}
 
 
 @pytest.mark.usefixtures("kinematic")
@@ -57,21 +57,23 @@ def test_record_video_writes_film(tmp_path: Path) -> None:
 @pytest.mark.parametrize("action", ["discrete", "continuous"])
 def test_several_fish_pass_pettingzoo_test(action: str) -> None:
     task = PredationPair(**SMALL, time_limit=3, action=action)
-    env = FlowParallelEnv(make_env(task=task, num_envs=1, compile=False))
+    env = FlowParallelEnv(make_env(task=task, flows=Flows(num_envs=1, compile=False)))
     parallel_api_test(env, num_cycles=10)
     env.reset(seed=1)
     with pytest.raises(ValueError, match=r"expected \['fish_0', 'fish_1'\]"):
         env.step({"fish_0": 1})
     env.close()
-    with pytest.raises(ValueError, match=r"one flow, not 2: make_env\(num_envs=1\)"):
-        FlowParallelEnv(make_env(task=task, num_envs=2, compile=False))
+    with pytest.raises(ValueError, match=r"one flow, not 2: flows=Flows\(num_envs=1\)"):
+        FlowParallelEnv(make_env(task=task, flows=Flows(num_envs=2, compile=False)))
     with pytest.raises(ValueError, match="Predation has one fish"):
-        FlowParallelEnv(make_env(task=Predation(**SMALL), num_envs=1, compile=False))
+        FlowParallelEnv(make_env(task=Predation(**SMALL), flows=Flows(num_envs=1, compile=False)))
 
 
 @pytest.mark.usefixtures("kinematic")
 def test_pair_is_rendered() -> None:
-    flow = make_env(task=PredationPair(**SMALL, time_limit=3), num_envs=1, compile=False)
+    flow = make_env(
+        task=PredationPair(**SMALL, time_limit=3), flows=Flows(num_envs=1, compile=False)
+    )
     env = FlowParallelEnv(flow, render_mode="rgb_array")
     with pytest.raises(ValueError, match=r"reset\(\) first"):
         env.render()

@@ -9,7 +9,7 @@ from sb3_contrib import MaskablePPO
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env import VecMonitor
 
-from fishrl.envs import Predation, make_env
+from fishrl.envs import Flows, Predation, make_env
 from fishrl.wrappers.stable_baselines import FlowVecEnv
 from tests.envs.conftest import SMALL
 from tests.envs.small_tasks import MaskedTask
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("kinematic")
 
 def make(task: Any = None, *, num_envs: int = 2) -> FlowVecEnv:
     task = task or Predation(**SMALL, time_limit=3)
-    return FlowVecEnv(make_env(task=task, num_envs=num_envs, compile=False))
+    return FlowVecEnv(make_env(task=task, flows=Flows(num_envs=num_envs, compile=False)))
 
 
 def keep(num: int = 2) -> np.ndarray:

@@ -17,7 +17,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
-from fishrl.envs import make_env
+from fishrl.envs import Flows, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.extensions import HasFlowLabels
 from fishrl.envs.lateral_line import KNOWN
@@ -38,19 +38,15 @@ class CollectionSettings(TaskSettings):
     Args:
         task: task all of whose flows are classified, regardless of ``task.start_flows``.
         seed: seed of data, splits and fits.
-        device: cpu or cuda, for the flows.
-        compile: compile the flow solver.
+        flows: number of flows, and how they are computed.
         data_folder: cache of collected data, shared by all studies that can use them.
-        num_envs: flows that advance together.
         num_samples: decisions to collect, one signal of a control interval each.
         max_decisions: decisions after which an episode is truncated.
     """
 
     seed: NonNegativeInt = 0
-    device: str = "cpu"
-    compile: bool = True
+    flows: Flows = Flows()
     data_folder: str = "runs/lateral_line_data"
-    num_envs: PositiveInt = 16
     num_samples: PositiveInt = 6000
     max_decisions: PositiveInt = 60
 
@@ -76,7 +72,7 @@ class CollectionSettings(TaskSettings):
     @property
     def place(self) -> Path:
         """Folder of the data, another one whenever they may differ."""
-        settings = (self.recorded_task, self.num_envs, self.max_decisions, self.seed)
+        settings = (self.recorded_task, self.flows.num_envs, self.max_decisions, self.seed)
         key = make_key(*settings, hash_sources(*_SOURCES), torch.__version__)
         return Path(self.data_folder).expanduser() / key
 
@@ -94,7 +90,7 @@ def collect(settings: CollectionSettings, progress: Callback = SILENT) -> Tensor
     place.mkdir(parents=True, exist_ok=True)
     pieces: list[TensorDict] = []
     num_done, env = 0, None
-    shape, line = (s.num_envs, task.time_limit), task.lateral_line
+    shape, line = (s.flows.num_envs, task.time_limit), task.lateral_line
     like = {
         "lateral_line": f"float32 {[*shape, line.num_samples, line.num_neuromasts, len(KNOWN)]}",
         "is_decision": f"bool {[*shape]}",
@@ -104,9 +100,7 @@ def collect(settings: CollectionSettings, progress: Callback = SILENT) -> Tensor
     while num_done < s.num_samples:
         path = place / f"piece-{len(pieces):04d}.pt"
         if not path.is_file():
-            env = env or make_env(
-                task=task, num_envs=s.num_envs, device=s.device, compile=s.compile
-            )
+            env = env or make_env(task=task, flows=s.flows)
             with staged(path) as stage:
                 torch.save(record_piece(env, len(pieces), seed=s.seed).to_dict(), stage)
         content = load_tensors(path, what="data", remedy="delete the file", like=like)

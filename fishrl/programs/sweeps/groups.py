@@ -8,13 +8,9 @@ from typing import Any
 
 from fishrl.programs.sweeps.runs import Run
 from fishrl.programs.train_settings import TrainConfig
-from fishrl.settings import TARGET, Role, flatten, list_fields
+from fishrl.settings import TARGET, Role, find_role, flatten
 from fishrl.training.recognition import name_content
 
-#: Settings that do not separate groups: those that do not change what is learned.
-_APART = {"seed"} | {
-    entry.name for entry in list_fields(TrainConfig) if entry.role is not Role.RESULT
-}
 #: Settings that imply several others, and so distinguish groups first.
 _FIRST = ("preset", "task._target_")
 
@@ -98,10 +94,10 @@ def _find_distinguishing(flat: Sequence[Mapping[str, str]]) -> list[str]:
 
 def _settings_of(run: Run) -> dict[str, str]:
     """Return the settings of a run, with its classifier named by content instead of by file."""
-    config = flatten({key: value for key, value in run.config.items() if key not in _APART})
     flat = {
         key: str(value).rpartition(".")[2] if key.endswith(TARGET) else str(value)
-        for key, value in config.items()
+        for key, value in flatten(run.config).items()
+        if key != "seed" and find_role(TrainConfig, key) is Role.RESULT
     }
     if "recognition.path" in flat:
         flat["recognition.path"] = name_content(Path(flat["recognition.path"]))

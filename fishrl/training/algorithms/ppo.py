@@ -43,10 +43,10 @@ class PPO(Algorithm):
 
     def adapt(self, settings: LearningSettings) -> dict[str, Any]:
         """Return the settings that give ``num_epochs`` over each rollout."""
-        num_frames = settings.num_envs * self.rollout_length
+        num_frames = settings.flows.num_envs * self.rollout_length
         if num_frames % settings.batch_size:
             raise ValueError(
-                f"batch_size = {settings.batch_size}: must divide num_envs * "
+                f"batch_size = {settings.batch_size}: must divide flows.num_envs * "
                 f"algorithm.rollout_length = {num_frames}"
             )
         updates_per_frame = self.num_epochs / settings.batch_size

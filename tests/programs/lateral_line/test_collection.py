@@ -10,6 +10,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from fishrl.envs import Flows
 from fishrl.envs.changes import StreamSwitches
 from fishrl.envs.lateral_line import KNOWN, LateralLine
 from fishrl.envs.streams import Stream
@@ -19,7 +20,8 @@ from tests.programs.lateral_line.signals import INTERVAL, make_task
 
 
 def make_settings(folder: Path, **changes: Any) -> CollectionSettings:
-    given = {"num_envs": 2, "max_decisions": 2, "num_samples": 5, "compile": False, **changes}
+    given = {"max_decisions": 2, "num_samples": 5, **changes}
+    given = {"flows": Flows(num_envs=2, compile=False)} | given
     return CollectionSettings(**{"task": make_task(), "data_folder": str(folder), **given})
 
 
@@ -58,7 +60,7 @@ def test_actions_hold_stations_or_are_random(
 ) -> None:
     def collect_share(share: float) -> TensorDict:
         monkeypatch.setattr(collection_module, "RANDOM_SHARE", share)
-        few = {"num_envs": 4, "max_decisions": 3, "num_samples": 1}
+        few = {"flows": Flows(num_envs=4, compile=False), "max_decisions": 3, "num_samples": 1}
         return collect(make_settings(tmp_path / str(share), **few))["lateral_line"]
 
     drawn, holding = collect_share(1.0), collect_share(0.0)
