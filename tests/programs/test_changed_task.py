@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 import torch
-from tests.programs.test_gait import SETTINGS
 
 from fishrl.physics.flow import Coupling
 from fishrl.programs import evaluate, view
@@ -19,6 +18,7 @@ from fishrl.training.plan import Plan
 from fishrl.training.policies import load_plan
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import read_config, write_yaml
+from tests.experiments.test_gait import SETTINGS
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import pytest
-from tests.programs.test_gait import SETTINGS
 
 from fishrl.envs import Oracle
 from fishrl.envs.scene import Frame
@@ -21,6 +20,7 @@ from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Drawing, Server
 from fishrl.viewer.process import HOST
 from tests.experiments.gait.tasks import OVERRIDES
+from tests.experiments.test_gait import SETTINGS
 from tests.training.conftest import read_rows
 
 pytestmark = pytest.mark.usefixtures("kinematic")
