@@ -53,7 +53,7 @@ def test_flows_are_labelled_as_in_the_run_unless_another_source_is_named(
 
 
 def test_baselines_are_evaluated_by_name_and_any_policy_as_it_is() -> None:
-    given: dict[str, Any] = {"task": ToyPredation(), "compile": False}
+    given: dict[str, Any] = {"task": ToyPredation(), "flows": Flows(compile=False)}
     rates = [evaluate(name, episodes=16, **given) for name in ("random", "pursuit")]
     assert rates[0]["success_rate"] < rates[1]["success_rate"]
     still = evaluate(lambda td: td.set("action", td["start_index"] * 0 + 1), episodes=4, **given)

@@ -39,7 +39,7 @@ def test_a_wrong_observation_size_is_reported_before_the_compile(
     ("wrong", "message"),
     [
         ({"baselines": ("randm",)}, "did you mean 'random'"),
-        ({"device": "cuda:99"}, "CUDA devices"),
+        ({"flows": Flows(device="cuda:99")}, "CUDA devices"),
         ({"recognition": Oracle()}, "no flows to tell apart"),
         ({"hidden": (10**6, 10**6)}, "networks .* GB.* more than the .* GB of cpu; lower"),
         ({"buffer_size": 10**12}, "buffer .* GB: more than the .* GB of cpu"),
