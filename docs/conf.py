@@ -50,6 +50,7 @@ python_maximum_signature_line_length = 100
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
+napoleon_custom_sections = [("Terms", "params_style")]  # of a reward
 
 html_math_renderer = "mathml"
 html_theme = "furo"

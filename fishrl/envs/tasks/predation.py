@@ -202,7 +202,7 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         alike, the slowest approach would be rewarded most.
 
         Terms:
-            approach: +1 if the distance d or the bearing error |β| of the food has shrunk (the
+            approach: +1 if the distance d or the bearing error ``|β|`` of the food has shrunk (the
                 paper: "bearing or distance shrinks"), −1 otherwise; times the number of tail beats
                 if actions are continuous, or bends.
             capture: ``capture_reward`` if d ≤ ``capture_radius_bl``, 0 otherwise.
