@@ -48,7 +48,7 @@ def make_printed_tasks(code: str, names: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("page", ["../README.md", *list_pages()])
-def test_blocks_of_a_page_run_and_its_tasks_can_be_made_as_printed(
+def test_python_blocks_of_page_run(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -60,7 +60,7 @@ def test_blocks_of_a_page_run_and_its_tasks_can_be_made_as_printed(
     assert sorted(os.listdir(tmp_path)) == WRITTEN.get(page, [])
 
 
-def test_flow_takes_fifteen_lines_environment_ten_task_sixty() -> None:
+def test_first_examples_stay_short() -> None:
     flow, *_ = read_blocks("tutorials/cylinder.md")
     assert count_lines(flow.code) <= 15
     env, *_ = read_blocks("index.md")
@@ -71,7 +71,7 @@ def test_flow_takes_fifteen_lines_environment_ten_task_sixty() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_of_a_page_lead_to_files_of_the_repository(page: Path) -> None:
+def test_links_of_page_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#\s]+)", text):
         assert "://" in target or (page.parent / target).exists(), target

@@ -18,7 +18,7 @@ def list_anchors(page: str) -> set[str]:
 
 
 @pytest.mark.parametrize("study", NAMES)
-def test_tables_of_a_page_follow_from_its_data(study: str) -> None:
+def test_tables_follow_from_data(study: str) -> None:
     page = (STUDIES / study / "README.md").read_text(encoding="utf-8")
     assert page == fill(study), "run python studies/tables.py"
     data = {path.stem for path in (STUDIES / study / "data").glob("*.csv")}
@@ -26,7 +26,7 @@ def test_tables_of_a_page_follow_from_its_data(study: str) -> None:
 
 
 @pytest.mark.parametrize("study", NAMES)
-def test_page_has_a_picture_or_table_commands_and_commits(study: str) -> None:
+def test_page_has_picture_or_table_command_commit(study: str) -> None:
     page = (STUDIES / study / "README.md").read_text(encoding="utf-8")
     assert re.search(r"^!\[.+\]\(.+\.png\)$|^<!-- table: ", page, re.MULTILINE)
     assert re.search(r"^python (-m )?(experiments|tests|examples)[./]\w+", page, re.MULTILINE)
@@ -34,7 +34,7 @@ def test_page_has_a_picture_or_table_commands_and_commits(study: str) -> None:
 
 
 @pytest.mark.parametrize("study", NAMES)
-def test_links_of_a_page_lead_somewhere(study: str) -> None:
+def test_links_of_page_exist(study: str) -> None:
     folder = STUDIES / study
     for target, anchor in LINK.findall((folder / "README.md").read_text(encoding="utf-8")):
         path = folder / (target or "README.md")
@@ -44,7 +44,7 @@ def test_links_of_a_page_lead_somewhere(study: str) -> None:
 
 
 @pytest.mark.parametrize("study", NAMES)
-def test_scripts_compile_and_import_public_names_alone(study: str) -> None:
+def test_scripts_import_public_names_only(study: str) -> None:
     for path in (STUDIES / study).glob("*.py"):
         nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8"), filename=path.name))
         named = [a.name for n in nodes if isinstance(n, ast.ImportFrom) for a in n.names]
@@ -52,7 +52,7 @@ def test_scripts_compile_and_import_public_names_alone(study: str) -> None:
 
 
 @pytest.mark.parametrize("study", [name for name in NAMES if hasattr(claims, f"check_{name}")])
-def test_main_claim_of_a_study_follows_from_its_data(study: str) -> None:
+def test_main_claim_follows_from_data(study: str) -> None:
     getattr(claims, f"check_{study}")()
 
 
@@ -65,6 +65,6 @@ def test_nothing_imports_the_studies() -> None:
             assert not [name for name in named if name.partition(".")[0] == "studies"], path
 
 
-def test_appendix_of_the_documentation_lists_every_study() -> None:
+def test_documentation_lists_every_study() -> None:
     appendix = (STUDIES.parent / "docs" / "studies.md").read_text(encoding="utf-8")
     assert set(re.findall(r"studies/(\w+)/README\.md", appendix)) == set(NAMES)
