@@ -22,7 +22,7 @@ PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python3.14; 
 	&& { echo $$p; break; }; done)
 # Tests that need CUDA are skipped without it.
 MARKERS ?= not slow and not smoke
-# One process per core; files keep their order, so that physics and environments come first.
+# tests/conftest.py chooses the number of processes; files keep their order.
 PROCESSES ?= -n auto --maxprocesses 4
 PARALLEL ?= $(PROCESSES) --dist loadfile --no-loadscope-reorder
 

@@ -1,4 +1,4 @@
-"""Things that tests of several packages share."""
+"""Fixtures and hooks for all tests."""
 
 import os
 import signal
@@ -10,19 +10,28 @@ from pathlib import Path
 import pytest
 import torch
 
+from fishrl.figure_style import STYLE
+from fishrl.limits import count_cores
 from fishrl.physics import InPlaceSolver
 from fishrl.physics.fast.stepper import Stepper
+
+STYLE["savefig.dpi"] = 50  # draws faster
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Use one process more than there are cores, since many tests wait for other processes."""
+    return count_cores() + 1
 
 
 @pytest.fixture(autouse=True, scope="session")
 def one_thread_in_fixtures() -> None:
-    """Run torch on one thread in fixtures of modules and of the session too."""
+    """Run torch on one thread in fixtures of modules and of the session."""
     torch.set_num_threads(1)
 
 
 @pytest.fixture(autouse=True, scope="session")
 def launched_one_by_one() -> Iterator[None]:
-    """Record no eager steps as graphs of the pretended device: they have some 1,000 operators."""
+    """Record no graphs of eager steps on the pretended device; they have some 1,000 operators."""
     with pytest.MonkeyPatch.context() as patch:
         if "device" in sys.modules:
             patch.setattr(Stepper, "_replay_", Stepper._advance_pairs_)
@@ -31,7 +40,7 @@ def launched_one_by_one() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def one_thread() -> Iterator[None]:
-    """Run torch on one thread: what tests compute is too small to share."""
+    """Run torch on one thread, which is fastest for small tensors."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -40,14 +49,14 @@ def one_thread() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def real_flow() -> None:
-    """Begin each test with the real flow, regardless of what an earlier one left behind."""
+    """Check that earlier tests have restored the real flow."""
     env = sys.modules.get("fishrl.envs.flow_env")  # tests of physics import no environments
     assert env is None or env.InPlaceSolver is InPlaceSolver
 
 
 @pytest.fixture
 def kinematic(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let fish move without a flow."""
+    """Replace flows by fish that move at constant speed."""
     from tests.envs.conftest import move_kinematically
 
     move_kinematically(monkeypatch)
@@ -55,7 +64,7 @@ def kinematic(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def heeds_ctrl_c() -> Iterator[None]:
-    """Undo that SIGINT is ignored, as where the tests run in the background of a shell."""
+    """Restore SIGINT, which is ignored if tests run in the background of a shell."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -63,7 +72,7 @@ def heeds_ctrl_c() -> Iterator[None]:
 
 @pytest.fixture
 def read_only_folder() -> Iterator[Path]:
-    """A folder that its user may not write; root, who may write anywhere, becomes nobody."""
+    """A folder without write permission; root becomes nobody."""
     folder = Path(tempfile.mkdtemp())
     is_root, nobody = os.geteuid() == 0, 65534
     if is_root:
@@ -78,5 +87,5 @@ def read_only_folder() -> Iterator[Path]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run physics and environments first: what fails there fails everywhere."""
+    """Run physics and environments first, on which all others depend."""
     items.sort(key=lambda item: not item.nodeid.startswith(("tests/physics", "tests/envs")))

@@ -29,15 +29,10 @@ from tests.training.conftest import read_rows
 pytestmark = pytest.mark.usefixtures("kinematic")
 
 SETTINGS = [
-    *(
-        "task=karman_gait",
-        "preset=gait_small",
-        *OVERRIDES,
-        "task.time_limit=12",
-        "flows.compile=false",
-    ),
-    *("flows.num_envs=4", "total_frames=48", "warmup_frames=16", "buffer_size=100", "batch_size=8"),
-    *("eval_frames=48", "eval_episodes=4", "final_episodes=4", "hidden=[16]", "picture_episodes=0"),
+    *("task=karman_gait", "preset=gait_small", *OVERRIDES, "task.time_limit=12"),
+    *("flows.compile=false", "flows.num_envs=4", "total_frames=32", "warmup_frames=8"),
+    *("buffer_size=100", "batch_size=8", "hidden=[8]", "picture_episodes=0", "baselines=[random]"),
+    *("eval_frames=32", "eval_episodes=2", "final_episodes=2"),
 ]
 
 
@@ -59,22 +54,19 @@ def run(folder: Path, *overrides: str, **settings: object) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a run whose flows a classifier labels, and one with true labels."""
+    """Return a folder with a run with a classifier, and one with true flow labels."""
     folder = tmp_path_factory.mktemp("runs")
     choice = make_classifier(folder / "m.pt")
     with pytest.MonkeyPatch.context() as patch:
         move_kinematically(patch)
-        summary = run(folder, "name=classifier", "picture_episodes=1", recognition=choice)
+        summary = run(folder, "name=classifier", recognition=choice)
         run(folder, "name=oracle", "seed=1", "baselines=[]", recognition=Oracle())
     assert summary["success"] == "survived"
-    assert summary["baselines"] == ["pid", "random"]
     assert 0.0 < summary["mean_length_T"] <= 6.0
-    assert summary["train_diverged"] == 0
     return folder
 
 
 def test_trained_gaits_are_tried_in_every_flow(trained: Path, tmp_path: Path) -> None:
-    assert (trained / "classifier" / "learning_curve.png").is_file()
     assert (trained / "classifier" / "classifier.pt").is_file()
     assert not (trained / "oracle" / "classifier.pt").exists()
     trials = [load_trial(trained / name, periods=BRIEF) for name in ("classifier", "oracle")]
@@ -103,9 +95,9 @@ def list_learned(folder: Path) -> dict[str, str]:
     return {name: value for name, value in last.items() if name.startswith(("frames", "train/"))}
 
 
-def test_a_run_with_a_lateral_line_goes_on_exactly(trained: Path, tmp_path: Path) -> None:
+def test_run_with_classifier_resumes_exactly(trained: Path, tmp_path: Path) -> None:
     choice = make_classifier(tmp_path / "m.pt")
-    run(tmp_path, "name=part", "total_frames=24", recognition=choice)
+    run(tmp_path, "name=part", "total_frames=20", recognition=choice)
     (tmp_path / "m.pt").unlink()
     (tmp_path / "part").rename(tmp_path / "moved")
     config = TRAINING.read([*SETTINGS, f"folder={tmp_path}"])
@@ -120,7 +112,7 @@ def test_a_run_with_a_lateral_line_goes_on_exactly(trained: Path, tmp_path: Path
     assert read_rows(tmp_path / "moved")[-1] == read_rows(trained / "classifier")[-1]
 
 
-def test_a_policy_of_predation_becomes_a_heading_controller(tmp_path: Path) -> None:
+def test_predation_policy_becomes_heading_controller(tmp_path: Path) -> None:
     path, policy = tmp_path / "steering.pt", load_policy("zoo/predation_sharp")
     layers = [module for module in policy.modules() if isinstance(module, nn.Linear)]
     save_weights([(layer.weight, layer.bias) for layer in layers], path)

@@ -1,4 +1,4 @@
-"""Policies tried in every stream and compared, on kinematic fish."""
+"""Comparison of policies in every stream, with kinematic fish."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.experiments.gait.tasks import BRIEF, make_task
 pytestmark = pytest.mark.usefixtures("kinematic")
 
 
-def test_policies_of_one_name_or_of_different_tasks_are_refused(tmp_path: Path) -> None:
+def test_repeated_names_and_different_tasks_are_refused(tmp_path: Path) -> None:
     settings = TransferSettings(task=make_task(), episodes=1, folder=str(tmp_path))
     pid = make_trial("pid", make_task(), periods=BRIEF)
     with pytest.raises(ValueError, match="policy names must be unique"):
@@ -32,12 +32,12 @@ def test_policies_of_one_name_or_of_different_tasks_are_refused(tmp_path: Path) 
         transfer([several], settings)
 
 
-def test_runs_bring_their_own_task(tmp_path: Path) -> None:
+def test_task_of_runs_cannot_be_changed(tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="the runs bring their own"):
         program.main(["runs=[zoo/gait_sharp]", "task.reynolds=900", f"folder={tmp_path}"])
 
 
-def test_work_is_compared_with_a_free_stream_held_without_a_disc(tmp_path: Path) -> None:
+def test_work_is_compared_with_free_stream(tmp_path: Path) -> None:
     settings = TransferSettings(
         task=make_task(), episodes=2, periods=4.0, free_episodes=1, folder=str(tmp_path)
     )

@@ -56,7 +56,7 @@ def reduce(histories: Histories, *, shed: float = SHED, interval_T: float = 1.0)
     return diagnose(histories, task, shedding_frequency=shed)
 
 
-def test_survival_is_a_mean_with_its_interval() -> None:
+def test_survival_has_mean_and_interval() -> None:
     result = reduce(make_histories(lengths=[40, 40, 20, 10]))
     assert result["survival_T"] == pytest.approx(27.5)
     assert result["survivors"] == 0.5
@@ -69,14 +69,14 @@ def test_survival_is_a_mean_with_its_interval() -> None:
     assert result["diverged"] == 0
 
 
-def test_work_is_traced_once_per_T_until_the_last_fish_ends() -> None:
+def test_work_is_traced_per_T_until_last_episode_ends() -> None:
     trace = trace_work(make_histories(lengths=[20, 9]), interval_T=0.25)  # 5 T and a little over 2
     assert trace["time_T"] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     assert trace["work"] == [0.0, 8.0, 16.0, 24.0, 32.0, 40.0]
     assert trace["lateral_work"] == [0.0, 4.0, 8.0, 12.0, 16.0, 20.0]
 
 
-def test_rates_are_per_T_of_all_episodes_together() -> None:
+def test_rates_pool_all_episodes() -> None:
     result = reduce(make_histories(lengths=[40, 10]))
     assert [result[name] for name in BALANCE] == [2.0, 3.0, 1.0, -0.5, 1.5]
     assert result["angle_mean"] == pytest.approx(math.degrees(0.1))
@@ -90,7 +90,7 @@ def test_gait_requires_a_beat_near_the_shedding_frequency() -> None:
     assert fast["frequency_over_shedding"] == pytest.approx(2.0)
 
 
-def test_phase_lock_is_high_only_for_a_beat_in_phase_with_the_lift() -> None:
+def test_phase_lock_needs_beat_in_phase_with_lift() -> None:
     assert reduce(make_histories(lengths=[40]))["phase_lock"] > 0.95
     assert reduce(make_histories(lengths=[40], beat=1.25 * SHED))["phase_lock"] < 0.5
     assert math.isnan(reduce(make_histories(lengths=[3]))["phase_lock"])
@@ -107,14 +107,14 @@ def test_frames_of_shorter_intervals_are_timed_in_T() -> None:
     assert result["phase_lock"] > 0.95
 
 
-def test_seeds_are_averaged_with_the_interval_over_seeds() -> None:
+def test_interval_is_over_seeds() -> None:
     both = combine_seeds([reduce(make_histories(lengths=[n])) for n in (40, 20)])
     assert both["survival_T"] == pytest.approx(30.0)
     assert both["survival_error_T"] == pytest.approx(half_width([40.0, 20.0]))
     assert both["episodes"] == 2
 
 
-def test_tables_have_a_row_per_policy_and_flow_and_ratios_of_work() -> None:
+def test_tables_have_rows_per_policy_and_flow() -> None:
     result = reduce(make_histories(lengths=[40, 23]))
     table = write_results({"pid": [result, result], "passive": [result, result]}, (1.0, 1.5))
     assert len(table.splitlines()) == 2 * 6 + 1

@@ -1,4 +1,4 @@
-"""Trials: fixed starts in every flow, and histories that are not recorded twice."""
+"""Trials: fixed starts in every flow, and cached histories."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class LiftedSolver(KinematicSolver):
         disc.impulse.copy_(torch.stack((0.5 * fish.age, lift * fish.age), -1))
 
 
-def test_lift_is_the_impulse_on_the_obstacle_per_time_in_rho_L_and_T(
+def test_lift_is_impulse_rate_in_rho_L_and_T(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(fishrl.envs.flow_env, "InPlaceSolver", LiftedSolver)
@@ -54,7 +54,7 @@ def test_lift_is_the_impulse_on_the_obstacle_per_time_in_rho_L_and_T(
     torch.testing.assert_close(lift, expected)
 
 
-def test_trials_swim_in_steady_streams_for_a_time_that_does_not_depend_on_training() -> None:
+def test_trials_have_steady_streams_and_fixed_duration() -> None:
     changes = StreamSwitches(interval_T=10.0)
     task = make_task(stream=Stream(has_disc=False, changes=changes))
     assert make_trial("pid", task).task.stream.changes is None
@@ -66,7 +66,7 @@ def test_trials_swim_in_steady_streams_for_a_time_that_does_not_depend_on_traini
         assert 100.0 <= tried.time_limit * tried.interval_T < 100.0 + dt + 0.01
 
 
-def test_trial_is_recorded_again_only_if_its_inputs_change(
+def test_history_is_recorded_again_only_if_inputs_change(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trial = make_trial("bang_bang", make_task(), periods=BRIEF)
@@ -105,9 +105,7 @@ def test_impossible_baselines_are_refused(name: str) -> None:
         make_trial(name, free, periods=BRIEF)
 
 
-def test_baselines_of_constant_frequency_beat_at_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_baselines_beat_at_their_frequency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rates = torch.tensor([0.001, 0.0012, 0.0014], dtype=torch.float64)
     task = make_task()
     assert task.wakes is not None
