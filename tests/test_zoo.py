@@ -1,13 +1,16 @@
 """The policies that come with the package load, fit their tasks, and are what their cards say."""
 
 import hashlib
+import json
 import shutil
 from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from fishrl.envs import Flows, make_env, run_episodes
+from fishrl.envs.agents import average_fish
 from fishrl.training import load_plan, load_policy
 from fishrl.training.evaluation import fixed_starts
 from fishrl.zoo import find_policy, list_policies
@@ -16,16 +19,31 @@ from tests.envs.conftest import move_kinematically
 NAMES = list_policies()
 
 
+#: Reward and place (x, y in L) of the nose after each decision, of fish that move kinematically;
+#: written at e28df4c1, before the order of the discrete bends changed.
+TRAJECTORIES = json.loads(Path(__file__).with_name("zoo_trajectories.json").read_text())
+
+
 @pytest.mark.parametrize("name", NAMES)
-def test_a_policy_acts_in_its_task(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_policy_keeps_its_trajectory(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     move_kinematically(monkeypatch)
     policy, plan = load_policy(f"zoo/{name}"), load_plan(f"zoo/{name}")
     env = make_env(
-        task=plan.task, flows=Flows(num_envs=1, compile=False), recognition=plan.recognition
+        task=plan.task, recognition=plan.recognition, flows=Flows(num_envs=2, compile=False)
     )
-    starts = fixed_starts(env.base_env.task, 1, seed=0)
-    assert run_episodes(env, policy, starts, max_decisions=3).lengths.tolist() == [3]
-    assert next(policy.parameters()).dtype == torch.float32
+    base = env.base_env
+    starts = fixed_starts(base.task, 2, seed=0)
+    trajectory: list[list[float]] = []
+
+    def keep(_: torch.Tensor, step: TensorDict) -> None:
+        places = base.solver.markers()[:, 0] / base.task.body_length
+        rewards = average_fish(step["next"], "reward")
+        trajectory.extend(torch.cat((rewards, places), 1).tolist())
+
+    run_episodes(env, policy, starts, max_decisions=4, on_step=keep)
+    # 1e-5: float32 sums may be ordered differently on another processor
+    for row, expected in zip(trajectory, TRAJECTORIES[name], strict=True):
+        assert row == pytest.approx(expected, rel=1e-5, abs=1e-5)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -13,7 +13,7 @@ from typing import Any
 from experiments.gait.diagnostics import BALANCE, list_works, trace_work
 from experiments.gait.trials import Histories, Trial, pick, prolong, run_trial
 from fishrl.envs import Flows, KarmanGait
-from fishrl.envs.macro_actions import DirectFrequencies
+from fishrl.envs.control import DirectFrequencies
 from fishrl.modules import PID
 from fishrl.programs.statistics import half_width
 from fishrl.training.baselines import make_gait_policy

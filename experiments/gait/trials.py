@@ -12,16 +12,16 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs import Flows, KarmanGait, Oracle, Recognition, make_env
+from fishrl.envs.control import ContinuousFrequency, DirectFrequencies
 from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.envs.flow_env import FlowEnv
-from fishrl.envs.macro_actions import ContinuousFrequency, DirectFrequencies
 from fishrl.envs.sensors import wrap_angle
 from fishrl.envs.steering import PolicySteering
 from fishrl.files import load_tensors, staged
 from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import SILENT, Callback
-from fishrl.training.checkpoint import Checkpoint
+from fishrl.training.checkpoint import read_metadata
 from fishrl.training.plan import Plan
 from fishrl.training.policies import load_policy
 
@@ -121,8 +121,8 @@ def load_trial(
     run: Path, *, periods: float = PERIODS, recognition: Recognition | None = None
 ) -> Trial:
     """Return the trial of the learned policy of a run folder, with its classifier or another."""
-    found = Checkpoint.find(run)
-    path, plan = found.path, Plan.from_config(found.config)
+    path, metadata = read_metadata(run)
+    plan = Plan.from_config(metadata["config"])
     source, task = recognition or plan.recognition, plan.task
     if source is not None:
         task = source.check(task)

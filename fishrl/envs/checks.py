@@ -9,6 +9,7 @@ from torch import Tensor
 
 from fishrl.envs.agents import shape_fish
 from fishrl.envs.task import AbstractTask, Command
+from fishrl.physics.bodies.motion import Bending
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 NUM_STARTS = 256
@@ -89,26 +90,29 @@ def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None
     """
     expected = "Command(turn=..., frequency=...)"
     _require(task, "command", isinstance(order, Command), order, expected)
-    turn = check_rows(task, "command turn", order.turn, rows)
-    fastest = task.max_frequency / task.scales.period * (1.0 + 1e-9)
-    turns = turn.abs() <= task.largest_turn
-    beats = shares = torch.ones_like(turns)
-    if order.frequency is not None:
-        frequency = check_rows(task, "command frequency", order.frequency, rows)
-        beats = (frequency >= 0.0) & (frequency <= fastest)
-    if order.amplitude is not None:
-        amplitude = check_rows(task, "command amplitude", order.amplitude, rows)
-        shares = (amplitude >= 0.0) & (amplitude <= 1.0)
-    if not (turns & beats & shares).all():
-        if not turns.all():
-            most = f"at most {task.largest_turn:.3g} radians: nose and tail would move at more than"
-            expected = f"{most} {MAX_IMPOSED_SPEED} nodes per step"
-            _require(task, "command turn", False, turn.tolist(), expected)
-        if not shares.all():
-            _require(task, "command amplitude", False, amplitude.tolist(), "0 to 1")
-        beats_T = f"max_frequency = {task.max_frequency:g} per T"
-        expected = f"0 to {fastest:.3g} tail beats per step, which is {beats_T}"
-        _require(task, "command frequency", False, frequency.tolist(), expected)
+    bends, motion = isinstance(task.fish.motion, Bending), type(task.fish.motion).__name__
+    idle, steers = ("turn", "bend") if bends else ("bend", "turn")
+    expected = f"{steers}=..., since the motion of the fish is {motion}"
+    _require(task, "command", getattr(order, idle) is None, f"{idle}=...", expected)
+    fast = f"nose and tail would move at more than {MAX_IMPOSED_SPEED} nodes per step"
+    turn, bend = task.largest_turn, task.largest_bend * (1.0 + 1e-9)
+    beats = task.max_frequency / task.scales.period * (1.0 + 1e-9)
+    beats_T = f"max_frequency = {task.max_frequency:g} per T"
+    limits = {
+        "turn": (-turn, turn, f"at most {turn:.3g} radians: {fast}"),
+        "bend": (-bend, bend, f"at most {bend:.3g} L: {fast}"),
+        "frequency": (0.0, beats, f"0 to {beats:.3g} tail beats per step, which is {beats_T}"),
+        "amplitude": (0.0, 1.0, "0 to 1"),
+    }
+    is_legal: dict[str, Tensor] = {}
+    for name, (low, high, _) in limits.items():
+        if (value := getattr(order, name)) is not None:
+            checked = check_rows(task, f"command {name}", value, rows)
+            is_legal[name] = (checked >= low) & (checked <= high)
+    if is_legal and not torch.stack([*is_legal.values()]).all():  # asks the device once
+        for name, rows_legal in is_legal.items():
+            got = getattr(order, name).tolist()
+            _require(task, f"command {name}", bool(rows_legal.all()), got, limits[name][2])
 
 
 def check_action(action: Tensor, mask: Tensor) -> Tensor:

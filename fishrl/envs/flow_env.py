@@ -206,11 +206,16 @@ class FlowEnv(EnvBase):
         command = self.task.command(action, before)
         check_command(self.task, command, self._shape)
         self.task.prepare_(self.solver, self.start)
+        straight = torch.zeros(self._shape, device=self.device)
+        steer = command.turn if command.bend is None else command.bend
         self.solver.command_(
-            command.turn, self.task.n_substeps, command.frequency, command.amplitude
+            straight if steer is None else steer,
+            self.task.n_substeps,
+            command.frequency,
+            command.amplitude,
         )
         now, diverged = self._advance(before)
-        now.update(self._history.remember(before, action, now))
+        now.update(dict(command.kept)).update(self._history.remember(before, action, now))
         self.now = _merge(~diverged, now, self.now)
         if diverged.any():
             rows = diverged.nonzero().squeeze(-1).tolist()

@@ -11,9 +11,10 @@ in an underscore for what changes its object in place.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from math import ceil
+from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import torch
@@ -25,6 +26,7 @@ from fishrl.envs.extensions import HasHistory, find_extension
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
 from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.bodies.motion import Bending
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import Coupling, FlowConfig
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
@@ -35,15 +37,19 @@ _Size = Annotated[float, Field(gt=0, le=1e6)]
 
 
 class Command(NamedTuple):
-    """Command to the body for one control interval.
+    """Command to the body for one control interval; commands to M fish are ``[B, M]``."""
 
-    Commands to M fish are ``[B, M]``.
-    """
-
-    turn: Tensor  #: ``[B]`` change of heading in radians, spread smoothly over the interval
+    #: ``[B]`` change of heading in radians, positive to the left (counter-clockwise), spread
+    #: smoothly over the interval; None for straight ahead
+    turn: Tensor | None = None
+    #: ``[B]`` deflection of the tail in L, positive for a turn to the left, of a fish whose motion
+    #: is ``Bending()``; None for none
+    bend: Tensor | None = None
     frequency: Tensor | None = None  #: ``[B]`` tail beats per step, or None to keep it
     #: ``[B]`` share of the gait's amplitude, 0 to 1, or None to keep it
     amplitude: Tensor | None = None
+    #: entries ``[B, ...]`` of ``HasHistory.begin`` for the next measurement
+    kept: Mapping[str, Tensor] = MappingProxyType({})
 
 
 class Sense(NamedTuple):
@@ -208,12 +214,23 @@ class AbstractTask(Settings, ABC):
 
     @property
     def largest_turn(self) -> float:
-        """Largest turn of an action, radians.
+        """Largest turn of an action that the method allows, radians.
 
         A turn is twice as fast at its middle as on average; at this one it moves nose and tail at
         the largest speed that the method allows.
         """
         return MAX_IMPOSED_SPEED * self.n_substeps / self.body_length
+
+    @property
+    def largest_bend(self) -> float:
+        """Largest bend that the method allows, body lengths; 0 unless the fish bends.
+
+        From one side to the other it moves the tail at the largest speed that the method allows.
+        """
+        motion = self.fish.motion
+        if not isinstance(motion, Bending):
+            return 0.0
+        return MAX_IMPOSED_SPEED * self.n_substeps / (2.0 * motion.response * self.body_length)
 
     def flow_config(self) -> FlowConfig:
         """Return the flow; the default is a closed tank of still water."""

@@ -16,7 +16,7 @@ GAIN = 0.6  # of the frequency, beats per T and body length
 DAMPING = 1.0  # of the frequency, beats per L
 ASIDE_GAIN = 0.8  # heading for a distance aside of 1 L, radians
 ASIDE_DAMPING = 1.0  # the same for 1 L / T
-SPIN_GAIN = 0.2  # turn per turning rate, T
+SPIN_GAIN = 0.2  # heading for a yaw rate of 1 rad / T, radians
 
 
 class KeepPlace(TensorDictModuleBase):
@@ -25,20 +25,21 @@ class KeepPlace(TensorDictModuleBase):
     Decisions are half a beat apart; the mean of two observations is without the sway of the beat.
 
     Args:
-        turn: largest turn of an action, radians.
+        bend_bl: largest bend of an action, body lengths; 1 L for an error in heading of 1 radian.
         frequency_range: least and largest frequency of an action, beats per T.
         num_actions: 3 for actions with an amplitude, which is kept at its largest.
     """
 
     def __init__(
-        self, *, turn: float, frequency_range: tuple[float, float], num_actions: int = 2
+        self, *, bend_bl: float, frequency_range: tuple[float, float], num_actions: int = 2
     ) -> None:
         super().__init__()
         self.in_keys, self.out_keys = ["observation_stack"], ["action"]
-        self.turn, self.frequency_range, self.num_actions = turn, frequency_range, num_actions
+        self.bend_bl, self.num_actions = bend_bl, num_actions
+        self.frequency_range = frequency_range
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``action`` ``[B, num_actions]``: turn, frequency, amplitude, each in [-1, 1]."""
+        """Write ``action`` ``[B, num_actions]``: bend, frequency, amplitude, each in [-1, 1]."""
         num_features = 10 + 2 * self.num_actions  # the last two actions are observed
         stack = tensordict["observation_stack"].unflatten(-1, (-1, num_features))
         x, y, heading = stack[..., -2:, :3].mean(-2).unbind(-1)
@@ -46,9 +47,9 @@ class KeepPlace(TensorDictModuleBase):
         # a heading above upstream leads to -y
         course = ASIDE_GAIN * y + ASIDE_DAMPING * velocity_y
         error = course.clamp(-0.4, 0.4) - heading
-        turn = (error - SPIN_GAIN * spin) / self.turn
+        bend = (error - SPIN_GAIN * spin) / self.bend_bl
         low, high = self.frequency_range
         frequency = FREQUENCY + GAIN * (x - STATION_BL) + DAMPING * velocity_x
         share = 2.0 * (frequency - low) / (high - low) - 1.0
-        action = torch.stack((turn, share), -1).clamp(-1.0, 1.0)
+        action = torch.stack((bend, share), -1).clamp(-1.0, 1.0)
         return tensordict.set("action", pad(action, (0, self.num_actions - 2), value=1.0))

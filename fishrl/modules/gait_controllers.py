@@ -171,5 +171,5 @@ class GaitPolicy(TensorDictModuleBase):
         if not self.is_direct:
             action = 1 + (action - tensordict["gear"].reshape(batch)).sign()
         if self.course is not None:
-            action = 3 * action + 1 - self.course(tensordict).round().long()
+            action = 3 * action + 1 + self.course(tensordict).round().long()
         return tensordict.set("action", action)

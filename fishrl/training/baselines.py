@@ -7,7 +7,6 @@ Each names the tasks that it fits. One for a task of your own stands next to the
         return SteadyPolicy()
 """
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -142,7 +141,7 @@ def make_intercept(task: Any, seed: int) -> InterceptPolicy:
 
 def _choose_steering(task: Predation | PredationPair) -> dict[str, Any]:
     """Return how to turn; a fish that bends needs the gains of ``KeepCourse``."""
-    turn, damping = (1.0 / 3.0, 0.1) if task.bends else (math.radians(task.turn_degrees), 0.0)
+    turn, damping = (1.0 / 3.0, 0.1) if task.bends else (task.control.largest_turn, 0.0)
     is_continuous = task.action_bounds is not None
     return {"turn": turn, "yaw_damping_T": damping, "is_continuous": is_continuous}
 
@@ -150,8 +149,9 @@ def _choose_steering(task: Predation | PredationPair) -> dict[str, Any]:
 @baseline("keep_place", Follower)
 def make_keep_place(task: Follower, seed: int) -> KeepPlace:
     """Make the controller that keeps a place in line behind the leader."""
-    turn, num_actions = math.radians(task.turn_degrees), task.num_actions
-    return KeepPlace(turn=turn, frequency_range=task.frequency_range, num_actions=num_actions)
+    (low, *_, high), num_actions = task.control.rows[0], task.num_actions
+    bend_bl = task.control.largest_bend
+    return KeepPlace(bend_bl=bend_bl, frequency_range=(low, high), num_actions=num_actions)
 
 
 @baseline("shedding", KarmanGait, fits=lambda task: task.stream.has_disc, is_default=False)
@@ -195,7 +195,7 @@ def make_gait_policy(controller: FrequencyController, task: KarmanGait) -> GaitP
     control = task.control
     return GaitPolicy(
         controller=controller,
-        course=KeepCourse(interval_T=task.interval_T) if control.bend_bl else None,
+        course=KeepCourse(interval_T=task.interval_T) if control.largest_bend else None,
         rows=_list_rows(task),
         is_direct=control.num_flows is None,
         is_continuous=control.action_bounds is not None,

@@ -10,6 +10,7 @@ from tensordict import TensorDict
 import fishrl.envs.flow_env
 import fishrl.envs.streams
 from fishrl.envs import AbstractTask, FlowEnv, Flows, Predation
+from fishrl.envs.control import ContinuousFrequency, Turn
 from fishrl.envs.wakes import WakeBank, WakeRecipe
 from fishrl.physics.collision import compute_equilibrium
 from tests.envs.kinematic_solver import KinematicSolver
@@ -21,6 +22,8 @@ SMALL: dict[str, Any] = {
     "max_wall_speed": 0.15,
     "wall_margin_bl": 0.15,
 }
+#: Turns and tail-beat frequencies as numbers.
+CONTINUOUS = Turn(beat=ContinuousFrequency(frequency_range=(0.5, 1.0)))
 
 
 def move_kinematically(patch: pytest.MonkeyPatch) -> None:

@@ -51,7 +51,7 @@ class MaskedTask(GoLeft):
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         change = (action.double() - 0.5) / self.scales.period
-        return Command(torch.zeros_like(change), before["frequency"] + change)
+        return Command(frequency=before["frequency"] + change)
 
     def measure(self, solver: Any, starts: TensorDictBase) -> TensorDict:
         return super().measure(solver, starts).set("frequency", solver.body.frequency.clone())
@@ -88,7 +88,7 @@ class PairTask(GoLeft):
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         turn = action[..., 0] if self.is_continuous else 0.2 * (action.double() - 1.0)
-        return Command(turn)
+        return Command(turn=turn)
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
         return (now["x"] < 3.0).any(-1)

@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from fishrl.envs import KarmanGait, Predation
-from fishrl.envs.macro_actions import BendControl, ContinuousFrequency, MacroActions
+from fishrl.envs.control import Bend, ContinuousFrequency, MacroActions
 from fishrl.envs.streams import Stream
 from tests.envs.conftest import SMALL, act, make_flows
 from tests.envs.test_real_flow import TINY as TANK
@@ -22,11 +22,11 @@ def test_bending_fish_is_turned_by_the_water_alone_and_pays_for_pushing_work(
     is_continuous: bool,
 ) -> None:
     beat = ContinuousFrequency() if is_continuous else MacroActions(rows=((0.5, 1.0, 1.5),))
-    task = KarmanGait(**TINY, control=BendControl(beat=beat, bend_bl=0.1, response_T=0.125))
+    task = KarmanGait(**TINY, control=Bend(beat=beat, bend_bl=0.1, response_T=0.125))
     env = make_flows(task, 2)
     env.reset()
     assert env.task.fish.motion.free_axes == (0, 1, 2)
-    left, right = ([[1.0, 0.0], [-1.0, 0.0]]) if is_continuous else (3, 5)
+    left, right = ([[1.0, 0.0], [-1.0, 0.0]]) if is_continuous else (5, 3)
     step = env.step(TensorDict({"action": torch.tensor([left, right])}, [2]))["next"]
     # a command of two time constants; the tail is on the side of the turn
     goal = 0.1 * (1.0 - exp(-2.0))
@@ -43,7 +43,7 @@ def test_bending_fish_is_turned_by_the_water_alone_and_pays_for_pushing_work(
 
 def test_bending_predator_is_turned_by_the_water_alone_and_observes_its_own_motion() -> None:
     margin = {"wall_margin_bl": 0.3, "control_interval_T": 0.25, "checks_per_action": 8}
-    task = Predation(**TANK | margin, bends=True, turn_degrees=12.0)
+    task = Predation(**TANK | margin, control=Bend(bend_bl=0.2))
     starts = task.sample_starts(1, torch.Generator().manual_seed(0)).expand(3)
     env = make_flows(task, 3, starts=starts)
     assert env.reset()["action_mask"].all()

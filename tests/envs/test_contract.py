@@ -15,9 +15,9 @@ from torchrl.envs import check_env_specs
 import fishrl.envs.tasks
 from fishrl.envs import AbstractTask, Flows, make_env
 from fishrl.envs.agents import split_fish
-from fishrl.envs.macro_actions import ContinuousFrequency
-from fishrl.envs.tasks import Follower, KarmanGait, Predation
-from tests.envs.conftest import SMALL, make_flows
+from fishrl.envs.control import ContinuousFrequency, DirectFrequencies, Turn
+from fishrl.envs.tasks import Follower, KarmanGait, Predation, PredationPair
+from tests.envs.conftest import CONTINUOUS, SMALL, make_flows
 from tests.envs.small_tasks import MaskedTask
 
 #: A tail that may beat faster needs more room before an edge.
@@ -27,7 +27,8 @@ pytestmark = pytest.mark.usefixtures("kinematic")
 
 CHOICES: list[tuple[type, dict[str, Any]]] = [
     *((kind, {}) for kind in [*LIBRARY, MaskedTask]),
-    (Predation, {"action": "continuous"}),
+    (Predation, {"control": CONTINUOUS}),
+    (PredationPair, {"control": Turn(beat=DirectFrequencies(frequencies=(0.5, 1.0)))}),
     (KarmanGait, {"control": ContinuousFrequency()}),
 ]
 

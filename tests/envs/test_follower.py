@@ -7,6 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Flows, Follower, make_env
+from fishrl.envs.control import Bend, ContinuousFrequency
 from fishrl.physics.placement import do_overlap
 from fishrl.training.baselines import make_baseline
 from tests.envs.conftest import SMALL, make_flows
@@ -22,13 +23,17 @@ TINY["wall_margin_bl"] = 0.3
         ({"start_y_bl": (0.0, 0.8), "aside_bl": 0.7}, "behind the leader"),
         ({"start_x_bl": (1.5, 1.0)}, "least"),
         ({"leader_x_bl": 1.0}, "too near the edge"),
-        ({"amplitude_range": (0.5, 0.5)}, "amplitude_range = .* rising"),
-        ({"frequency_range": (1, 1)}, "frequency_range = .* rising"),
+        ({"control": Bend()}, "needs continuous actions"),
     ],
 )
 def test_invalid_settings_are_refused(settings: dict[str, object], problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
         Follower(**settings)
+
+
+def with_amplitude(low: float, high: float) -> Bend:
+    beat = ContinuousFrequency(frequency_range=(0.7, 1.35), amplitude_range=(low, high))
+    return Bend(bend_bl=0.1, response_T=0.25, beat=beat)
 
 
 def make_now(**values: object) -> TensorDict:
@@ -73,7 +78,7 @@ def test_contact_ends_the_episode_before_fish_overlap() -> None:
 
 
 def test_leader_is_held_and_the_follower_bends_and_approaches_its_amplitude() -> None:
-    env: FlowEnv = make_flows(Follower(**TINY, amplitude_range=(0.4, 1.0)), 1)
+    env: FlowEnv = make_flows(Follower(**TINY, control=with_amplitude(0.4, 1.0)), 1)
     assert env.task.num_actions == 3 and len(env.task.action_names) == 3
     assert env.reset()["observation"].shape == (1, 16)
     leader = env.solver.bodies[1]
@@ -92,7 +97,7 @@ def test_leader_is_held_and_the_follower_bends_and_approaches_its_amplitude() ->
 
 @pytest.mark.usefixtures("kinematic")
 def test_baseline_keeps_the_largest_amplitude() -> None:
-    task = Follower(**TINY, amplitude_range=(0.4, 0.9))
+    task = Follower(**TINY, control=with_amplitude(0.4, 0.9))
     env = make_env(task=task, flows=Flows(num_envs=2, compile=False))
     state = make_baseline("keep_place", task=task, seed=0)(env.reset())
     assert state["action"].shape == (2, 3) and (state["action"][:, 2] == 1.0).all()

@@ -10,8 +10,8 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
 from fishrl.envs import FlowEnv, Flows, KarmanGait, Oracle, make_env
+from fishrl.envs.control import Bend, MacroActions
 from fishrl.envs.lateral_line import LateralLine
-from fishrl.envs.macro_actions import BendControl, MacroActions
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, PolicySteering
 from fishrl.envs.streams import Stream
@@ -294,8 +294,8 @@ def test_free_stream_has_neither_disc_nor_wake() -> None:
         ({"start_flows": ()}, r"start_flows = \(\): give one or more of the indices 0 to 2"),
         ({"stream": Stream(speeds_bl=(1.0,)), "start_flows": (0,)}, "control has rows for 3 flows"),
         (
-            {"control": BendControl(beat=MacroActions(rows=ROWS), bend_bl=0.5, response_T=0.2)},
-            "bends the tail at up to .* allowed is 0.3: raise control.response_T",
+            {"control": Bend(beat=MacroActions(rows=ROWS), bend_bl=0.5, response_T=0.2)},
+            "bends the fish by 0.5 L: .* allowed is .*raise control.response_T",
         ),
         ({"observes": ("flow_label",)}, "observes = .*: name a sense other than flow_label"),
         ({"start_x_bl": (0.3, 1.0)}, r"nose at \(0.30, -0.10\) L from the disc, is in the danger"),

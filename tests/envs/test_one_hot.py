@@ -11,7 +11,7 @@ from torchrl.modules import MLP, QValueActor
 from torchrl.objectives import DQNLoss
 
 from fishrl.envs import AbstractTask, Flows, KarmanGait, OneHotAction, Predation, make_env
-from tests.envs.conftest import SMALL
+from tests.envs.conftest import CONTINUOUS, SMALL
 from tests.envs.small_tasks import PairTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -76,4 +76,4 @@ def test_torchrl_trains_dqn_on_legal_actions(env: TransformedEnv) -> None:
 
 def test_continuous_actions_are_refused() -> None:
     with pytest.raises(ValueError, match="continuous actions"):
-        check_env_specs(make(Predation(**SMALL, action="continuous")))
+        check_env_specs(make(Predation(**SMALL, control=CONTINUOUS)))

@@ -9,10 +9,11 @@ import torch
 from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Predation
+from fishrl.envs.control import ContinuousFrequency, Turn
 from fishrl.envs.starts import place_fish, place_outline
 from fishrl.envs.tasks.food import LEAD_T
 from fishrl.modules import controllers
-from tests.envs.conftest import SMALL, act, make_flows, starts_at
+from tests.envs.conftest import CONTINUOUS, SMALL, act, make_flows, starts_at
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 KEEP = 1
@@ -129,8 +130,9 @@ def test_first_observation_is_the_food_relative_to_the_nose(small_task: Predatio
 
 
 def test_continuous_action_sets_turn_and_tail_beat() -> None:
-    given = {**SMALL, "wall_margin_bl": 0.25, "action": "continuous", "turn_degrees": 10.0}
-    task = Predation(**given, frequency_range=(0.5, 2.0))
+    beat = ContinuousFrequency(frequency_range=(0.5, 2.0))
+    control = Turn(turn_degrees=10.0, beat=beat)
+    task = Predation(**SMALL | {"wall_margin_bl": 0.25}, control=control)
     env = begin(task, starts_at(*[(6.5, 2.5)] * 3))
     assert task.scales.max_frequency == 2.0
     action = torch.tensor([[-1.0, -1.0], [0.0, 0.0], [0.5, 1.0]])
@@ -152,7 +154,7 @@ def test_continuous_action_sets_turn_and_tail_beat() -> None:
     ],
 )
 def test_invalid_continuous_action_is_refused(action: list, message: str) -> None:
-    env = begin(Predation(**SMALL, action="continuous"), starts_at(*[(6.5, 2.5)] * 2))
+    env = begin(Predation(**SMALL, control=CONTINUOUS), starts_at(*[(6.5, 2.5)] * 2))
     with pytest.raises(ValueError, match=message):
         env.step(TensorDict({"action": torch.tensor(action)}, [2]))
 
@@ -201,7 +203,8 @@ BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
         r"0.985 L to the side, and leave the tank; tilt it less",
     ),
     "outside": ({"start_x_bl": (9.9, 9.9)}, r"does not fit; widen"),
-    "frequency": ({"frequency_range": (1.0, 0.5)}, r"frequency_range = .*must be rising"),
+    "turn": ({"control": Turn(turn_degrees=120.0)}, r"turns the fish by 120° .* allowed is"),
+    "former": ({"turn_degrees": 10.0}, r"turn_degrees.*control.turn_degrees"),
     "tau": ({"reynolds": 1e6}, r"tau = 0.50.* outside the validated range.*raise body_length"),
 }
 

@@ -7,6 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from fishrl.envs import AbstractTask, FlowEnv, Predation
+from fishrl.envs.control import Bend, Turn
 from tests.envs.conftest import SMALL, make_flows, move_kinematically
 from tests.envs.test_real_flow import TINY
 
@@ -32,7 +33,7 @@ def run(task: Predation, num_actions: int, **options: Any) -> tuple[list[TensorD
 
 def test_skipped_checks_change_no_episode(monkeypatch: pytest.MonkeyPatch) -> None:
     move_kinematically(monkeypatch)
-    task = Predation(**SMALL, turn_degrees=40.0, food_direction="random")
+    task = Predation(**SMALL, control=Turn(turn_degrees=40.0), food_direction="random")
     some, num_some = run(task, 60)
     monkeypatch.setattr(Predation, "count_safe_steps", AbstractTask.count_safe_steps)
     every, num_every = run(task, 60)
@@ -48,7 +49,8 @@ def test_skipped_checks_change_no_episode(monkeypatch: pytest.MonkeyPatch) -> No
 def test_swimming_fish_stays_below_the_assumed_speed(
     monkeypatch: pytest.MonkeyPatch, bends: bool
 ) -> None:
-    task = Predation(**TINY | {"wall_margin_bl": 0.3}, bends=bends, turn_degrees=12.0)
+    control = Bend(bend_bl=0.2) if bends else Turn(turn_degrees=12.0)
+    task = Predation(**TINY | {"wall_margin_bl": 0.3}, control=control)
     env = make_flows(task, 2, seed=1)
     env.reset()
     largest, last = 0.0, env.solver.markers()

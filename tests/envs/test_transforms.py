@@ -15,8 +15,8 @@ from fishrl.envs import (
     Oracle,
     Predation,
 )
+from fishrl.envs.control import DirectFrequencies
 from fishrl.envs.lateral_line import LateralLine
-from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.modules import LateralLineClassifier
 from fishrl.training import Classifier
 from tests.envs.conftest import SMALL, make_flows

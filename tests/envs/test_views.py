@@ -10,14 +10,14 @@ import pytest
 import torch
 
 from fishrl.envs import AbstractTask, FlowEnv, Follower, KarmanGait, Predation
+from fishrl.envs.control import DirectFrequencies
 from fishrl.envs.lateral_line import LateralLine
-from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.scene import Choice, Scene
 from fishrl.envs.streams import Stream
 from fishrl.envs.views import FIELDS, make_scene, read_scene
 from fishrl.physics import Boundaries, Fish, FlowConfig, NonEquilibrium, OpenEdge
 from fishrl.physics.flow import make_uniform
-from tests.envs.conftest import SMALL, make_flows
+from tests.envs.conftest import CONTINUOUS, SMALL, make_flows
 from tests.envs.small_tasks import MaskedTask, PairTask
 from tests.envs.test_follower import TINY
 
@@ -45,7 +45,7 @@ TASKS: dict[str, Callable[[], AbstractTask]] = {
     "gait": lambda: KarmanGait(**GAIT),
     "averaged": lambda: KarmanGait(**GAIT, lateral_line=LINE),
     "free": lambda: KarmanGait(**GAIT, stream=Stream(has_disc=False), control=DIRECT),
-    "continuous": lambda: Predation(**SMALL, action="continuous"),
+    "continuous": lambda: Predation(**SMALL, control=CONTINUOUS),
     "own": lambda: MaskedTask(**SMALL),
     "own fish": lambda: OwnPair(**SMALL),
 }

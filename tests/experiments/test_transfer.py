@@ -9,7 +9,7 @@ import pytest
 from experiments import transfer as program
 from experiments.gait.trials import make_trial
 from experiments.transfer import TransferSettings, transfer
-from fishrl.envs.macro_actions import DirectFrequencies
+from fishrl.envs.control import DirectFrequencies
 from fishrl.envs.streams import Stream
 from tests.experiments.gait.tasks import BRIEF, make_task
 

@@ -93,4 +93,4 @@ def test_course_keeping_bends_towards_centreline_and_upstream(is_continuous: boo
     if is_continuous:
         assert given.tolist() == [[bend, 0.0] for bend in bends]
     else:
-        assert given.tolist() == [3 * 1 + 1 - bend for bend in bends]
+        assert given.tolist() == [3 * 1 + 1 + bend for bend in bends]

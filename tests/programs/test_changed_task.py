@@ -88,7 +88,7 @@ def test_settings_of_the_task_that_are_not_given_stay_as_in_the_run(tmp_path: Pa
         ("task.num_stacked=3", "num_inputs = 8, the current one is 6"),
         ("task._target_=fishrl.envs.Predation", "there is no 'task."),
         (
-            "task.control={_target_:fishrl.envs.macro_actions.DirectFrequencies,"
+            "task.control={_target_:fishrl.envs.control.DirectFrequencies,"
             "frequencies:[1,1.5,2,2.5]}",
             "num_actions",
         ),

@@ -14,7 +14,8 @@ import pytest
 import torch
 
 from fishrl.envs import Flows
-from fishrl.training import Callback, Plan, Training, open_run
+from fishrl.training import Callback, Plan, begin, reopen
+from fishrl.training.loop import Training
 from tests.training.toy_fish import ToyPredation, make_any_env
 
 DEFAULTS: dict[str, Any] = {
@@ -44,7 +45,7 @@ def make_toy_plan(folder: Path, *, task: dict[str, Any] | None = None, **setting
 def toy_flows() -> Iterator[None]:
     """Make the flows of the point fish where those of other tasks are made."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("policies", "opening"):
+        for module in ("policies", "resolve"):
             patch.setattr(f"fishrl.training.{module}.make_env", make_any_env)
         yield
 
@@ -58,13 +59,13 @@ class Toy:
 
     def begin(self, *, callbacks: Sequence[Callback] = (), **settings: Any) -> Training:
         plan = make_toy_plan(self.folder, **settings)
-        self.trainings.append(Training(open_run(plan), callbacks=callbacks))
+        self.trainings.append(begin(plan, callbacks=callbacks))
         return self.trainings[-1]
 
     def reopen(self, name: str, **changes: Any) -> Training:
         for training in self.trainings:
             training._lock.close()
-        self.trainings.append(Training(open_run(self.folder / name, **changes)))
+        self.trainings.append(reopen(self.folder / name, **changes))
         return self.trainings[-1]
 
     def rows(self, name: str) -> list[dict[str, str]]:

@@ -13,6 +13,7 @@ import torch
 
 from fishrl.envs import Flows, Predation, make_env
 from fishrl.physics import Coupling, DCylinder, FlowConfig, InPlaceSolver
+from tests.envs.conftest import CONTINUOUS
 from tests.envs.test_real_flow import TINY
 from tests.training.conftest import QUICK, Toy, read_rows
 
@@ -48,7 +49,7 @@ def step_env(coupling: Coupling, state_of: Callable[[], State]) -> list[dict[Any
     Actions come from a policy that learns, so that they require gradients.
     """
     task = Predation(
-        **TINY, action="continuous", control_interval_T=0.25, checks_per_action=6, coupling=coupling
+        **TINY, control=CONTINUOUS, control_interval_T=0.25, checks_per_action=6, coupling=coupling
     )
     with state_of()():
         env = make_env(task=task, flows=Flows(num_envs=1, compile=False), seed=3)

@@ -28,6 +28,7 @@ from torchrl.envs import (
 )
 
 from fishrl.envs import AbstractTask, Flows, Predation, make_env
+from fishrl.envs.control import Turn
 from fishrl.modules.controllers import LEAD_T
 from fishrl.physics.flow import Coupling
 
@@ -40,7 +41,7 @@ class ToyPredation:
     """What the training loop asks of a task."""
 
     n_obs, num_stacked, n_substeps, checks_per_action = 4, 4, 10, 1
-    interval_T, turn_degrees, success = 1.0, 15.0, "captured"
+    interval_T, success, control = 1.0, "captured", Turn()
     num_fish, body_length, bends = 1, 10, False
     scales = SimpleNamespace(period=10, body_length=10)
 

@@ -13,7 +13,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from fishrl.envs import AbstractTask, Flows, Predation, make_env
 from fishrl.wrappers.gymnasium import FlowVectorEnv
-from tests.envs.conftest import SMALL
+from tests.envs.conftest import CONTINUOUS, SMALL
 from tests.envs.small_tasks import MaskedTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -72,7 +72,7 @@ def test_steps_equal_torchrl_environment() -> None:
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_continuous_actions_are_a_box(mode: str) -> None:
-    envs = make(mode, Predation(**SMALL, time_limit=LIMIT, action="continuous"), num_envs=3)
+    envs = make(mode, Predation(**SMALL, time_limit=LIMIT, control=CONTINUOUS), num_envs=3)
     assert envs.single_action_space == Box(-1.0, 1.0, (2,), np.float32)
     _, infos = envs.reset(seed=1)
     assert "action_mask" not in infos

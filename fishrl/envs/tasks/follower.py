@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import cached_property
-from math import inf, pi, radians
+from math import inf, pi
 from typing import Annotated, ClassVar, Literal
 
 import torch
@@ -10,36 +10,28 @@ from pydantic import Field, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.extensions import HasHistory, HasScene
-from fishrl.envs.macro_actions import Rising
+from fishrl.envs.control import AbstractControlTask, Bend, ContinuousFrequency, Control
+from fishrl.envs.control.control import Rising
+from fishrl.envs.extensions import HasScene
 from fishrl.envs.scene import Scene
 from fishrl.envs.sensors import compute_clearance, compute_gap, wrap_angle
 from fishrl.envs.starts import check_fit, place_fish, place_outline
 from fishrl.envs.streams import AbstractStreamTask, Stream
-from fishrl.envs.task import Command, Sense
-from fishrl.physics.bodies.fish import Fish
-from fishrl.physics.bodies.motion import Bending, Driven
+from fishrl.envs.task import Sense
+from fishrl.physics.bodies.motion import Driven
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig, Sponge
 
-#: Time constants of the bend in an action; a faster one would fling the tail.
-RESPONSE = 2.0
 
-_Frequency = Annotated[float, Field(gt=0, le=10)]
-_Share = Annotated[float, Field(ge=0, le=1)]
-
-
-class Follower(AbstractStreamTask, HasHistory, HasScene):
+class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
     """Hold a place in the wake of a leader by bending the midline and choosing the tail beat.
 
     The leader beats once per T and is held in place, in a stream along +x of the speed at which it
     would swim: the mean force on it vanishes. The follower is free; only the water turns it.
 
     Positions are (x, y) of the follower's centre of mass behind the rear end of the leader, in body
-    lengths. Actions, each T / 2: the bend, as a turn in degrees (see ``motion.Bending``),
-    the frequency and, with ``amplitude_range``, the amplitude. Observation: position, heading from
-    upstream, sine and cosine of its phase and of that relative to a leading fish's, velocity in
-    L / T, turning rate in radians per T, and the last two actions in [-1, 1], the older one first.
+    lengths. Actions, each T / 2: the bend, the frequency and, with an ``amplitude_range``, the
+    amplitude. It observes ``senses``.
 
     The reward is the efficiency of the interval, useful work / (useful work + work of the muscles),
     as in Verma, Novati & Koumoutsakos 2018. They count thrust times speed as useful; we count
@@ -52,13 +44,10 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
     of the sharp skin at L = 32; the immersed boundary needs 0.35 and 0.11.
 
     Args:
-        leader: fish, or none, for comparison with a fish alone. (``KarmanGait`` with a
-            ``BendControl`` has a fish that turns itself behind a half disc.)
+        leader: fish, or none, for comparison with a fish alone. (``KarmanGait`` with
+            ``control=Bend()`` has a fish that turns itself behind a half disc.)
         stream_speed_bl: speed of the stream, L / T.
-        turn_degrees: largest turn of an action.
-        frequency_range: least and largest tail-beat frequency, beats per T.
-        amplitude_range: least and largest share of the gait's amplitude, at most 1; None for the
-            gait's own.
+        control: continuous bend and tail beat; the beat may have an ``amplitude_range``.
         cost_alone: work of the fish alone for 1 L through the water, rho L^4 / T^2.
         leader_x_bl: distance of the rear end of the leader from the inflow.
         start_x_bl: range of the initial x.
@@ -71,6 +60,11 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
     """
 
     num_draws: ClassVar[int] = 4
+    former: ClassVar[dict[str, str]] = {
+        "turn_degrees": "control.bend_bl",
+        "frequency_range": "control.beat.frequency_range",
+        "amplitude_range": "control.beat.amplitude_range",
+    }
 
     body_length: int = 32
     reynolds: float = 5000.0
@@ -82,9 +76,9 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
     checks_per_action: int = 16
     leader: Literal["fish", "none"] = "fish"
     stream_speed_bl: PositiveFloat = 0.49
-    turn_degrees: Annotated[float, Field(gt=0, le=30)] = 6.0
-    frequency_range: Annotated[tuple[_Frequency, _Frequency], Rising] = (0.7, 1.35)
-    amplitude_range: Annotated[tuple[_Share, _Share], Rising] | None = None
+    control: Control = Bend(
+        bend_bl=0.105, response_T=0.25, beat=ContinuousFrequency(frequency_range=(0.7, 1.35))
+    )
     cost_alone: PositiveFloat = 0.05
     leader_x_bl: PositiveFloat = 1.75
     start_x_bl: tuple[float, float] = (1.0, 1.5)
@@ -95,6 +89,8 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
     contact_bl: PositiveFloat = 0.1
 
     def __post_init__(self) -> None:
+        if self.action_bounds is None:
+            raise ValueError("control: a follower needs continuous actions, such as Bend(beat=...)")
         for name in ("start_x_bl", "start_y_bl"):
             low, high = getattr(self, name)
             if low > high:
@@ -104,44 +100,9 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
         self.check_starts(self.starts_from(torch.nn.functional.pad(corners, (0, 1))))
 
     @property
-    def num_actions(self) -> int:
-        """Number of the numbers in an action."""
-        return len(self.action_bounds)
-
-    @property
-    def action_bounds(self) -> tuple[tuple[float, float], ...]:
-        """Turn in degrees, frequency in beats per T, and amplitude if it is commanded."""
-        beat = (self.frequency_range, self.amplitude_range)
-        return (-self.turn_degrees, self.turn_degrees), *(own for own in beat if own is not None)
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the numbers."""
-        units = (("turn", "°"), ("frequency", " beats/T"), ("amplitude", ""))
-        return tuple(
-            f"{name}, {low:g} to {high:g}{unit}"
-            for (name, unit), (low, high) in zip(units, self.action_bounds, strict=False)
-        )
-
-    @property
     def max_frequency(self) -> float:
         """Highest frequency of follower and leader."""
-        return max(1.0, self.frequency_range[1])
-
-    @property
-    def swimming_speed(self) -> float:
-        """Bound on the speed of a marker, with a bend from one side to the other.
-
-        The factor of two for swimming covers a changing amplitude: the speed it gives the tail is
-        at most two thirds of the speed of the beat, a quarter of a beat apart.
-        """
-        bend = 2.0 * radians(self.turn_degrees) * self.body_length
-        return super().swimming_speed + RESPONSE * bend / self.n_substeps
-
-    @cached_property
-    def fish(self) -> Fish:
-        """The follower."""
-        return replace(super().fish, motion=Bending(response=RESPONSE))
+        return max(1.0, super().max_frequency)
 
     @cached_property
     def stream(self) -> Stream:
@@ -213,11 +174,6 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
         draws = {"flow_index": rows.long() * 0, "wake_phase": starts["wake_phase"]}
         self.begin_(solver, rows, draws, (position, heading))
 
-    def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Map the action to bend, tail-beat frequency and amplitude."""
-        turn, frequency, *amplitude = action.unbind(-1)
-        return Command(turn.deg2rad(), frequency / self.scales.period, *amplitude)
-
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Measure position, motion and work of the follower, and the gap to the leader."""
         body, markers, scales = solver.body, solver.markers(), self.scales
@@ -244,7 +200,8 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
 
     def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Start without earlier actions."""
-        return {"actions": now["place"].new_zeros(*now.shape, 2, self.num_actions)}
+        actions = now["place"].new_zeros(*now.shape, 2, self.num_actions)
+        return super().begin(now) | {"actions": actions}
 
     def remember(
         self, before: TensorDictBase, action: Tensor, now: TensorDictBase

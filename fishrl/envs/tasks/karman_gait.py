@@ -9,8 +9,8 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.extensions import HasHistory, HasScene
-from fishrl.envs.macro_actions import AbstractFrequencyTask
+from fishrl.envs.control import AbstractControlTask
+from fishrl.envs.extensions import HasScene
 from fishrl.envs.scene import Panel, Scene, Series
 from fishrl.envs.senses import AbstractSensingTask, measure_own_motion
 from fishrl.envs.sensors import compute_clearance, wrap_angle
@@ -20,17 +20,16 @@ from fishrl.envs.streams import Stream
 from fishrl.envs.task import Command
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
 from fishrl.physics.fast.solver import InPlaceSolver
-from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 
-class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScene):
+class KarmanGait(AbstractControlTask, AbstractSensingTask, HasScene):
     """Hold station behind a half disc, or in a free stream, by choosing the tail-beat frequency.
 
     Positions are of the nose relative to the middle of the disc's flat side, x downstream, in body
     lengths. By default the policy observes x, y, their change since the last decision (``drift``),
     the frequency in beats per T (0 before the first beat) and the velocity (x, y) of the water at
     the lateral line, mean over neuromasts and interval, L / T. ``control`` defines the actions;
-    ``steering`` turns the fish, or with a ``BendControl`` the water alone. An episode starts at a
+    ``steering`` turns the fish unless they do, or bend it. An episode starts at a
     random phase of a developed wake and terminates in the danger area or at an edge.
 
     Also reported: ``lateral_line``, the true ``flow_index`` (of a changing stream the nearest known
@@ -40,7 +39,7 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
     Args:
         stream: the flows.
         start_flows: indices of the flows in which episodes take place, drawn uniformly.
-        steering: heading controller; not used if actions bend the fish.
+        steering: heading controller; not used if actions turn or bend the fish.
         start_x_bl: range of the initial nose position.
         start_y_bl: the same along y.
         safe_area: area outside which episodes terminate.
@@ -71,18 +70,6 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
             raise ValueError(
                 f"start_flows = {self.start_flows}: give one or more of the indices 0 to {num - 1}"
             )
-        speed = self.control.bend_rate_bl * self.scales.reference_speed
-        if speed > MAX_IMPOSED_SPEED:
-            raise ValueError(
-                f"control bends the tail at up to {speed:.3g} nodes per step, allowed is "
-                f"{MAX_IMPOSED_SPEED}: raise control.response_T, or lower control.bend_bl or "
-                "max_wall_speed"
-            )
-        if self.control.num_flows not in (None, 1, num):
-            raise ValueError(
-                f"control has rows for {self.control.num_flows} flows, but stream.speeds_bl has "
-                f"{num}: give one row for each, or one for all"
-            )
         super().__post_init__()
         per_T, wanted = max(1, round(1.0 / self.interval_T)), self.steering.decisions_per_T
         if wanted not in (None, per_T):
@@ -93,6 +80,11 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
         corners = torch.cartesian_prod(torch.tensor([0.0, 1.0]), torch.tensor([0.0, 1.0])).double()
         others = torch.zeros(4, self.num_draws - 2, dtype=torch.float64)
         self.check_starts(self.starts_from(torch.cat((corners, others), 1)))
+
+    @property
+    def num_flows(self) -> int:
+        """Number of streams."""
+        return len(self.stream.speeds_bl)
 
     @property
     def num_samples(self) -> int:
@@ -150,16 +142,19 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
             raise ValueError(f"starts['flow_index'] = {flow.tolist()}: allowed is 0 to {num - 1}")
         self.safe_area.check_starts(self.locate(starts["head"]))
 
+    def label_flow(self, before: TensorDictBase) -> Tensor:
+        """Return the true flow, or the ``flow_class`` that a transform writes."""
+        flow: Tensor = before["flow_class" if self.reads_flow_class else "flow_index"]
+        if not ((flow >= 0) & (flow < self.num_flows)).all():
+            raise ValueError(f"flow_class = {flow.tolist()}: allowed is 0 to {self.num_flows - 1}")
+        return flow
+
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Choose the frequency, and bend or turn as ``steering`` commands."""
-        flow, num = self._name_flow(before), len(self.stream.speeds_bl)
-        if not ((flow >= 0) & (flow < num)).all():
-            raise ValueError(f"flow_class = {flow.tolist()}: allowed is 0 to {num - 1}")
-        _, frequency = self.control.choose(before["gear"], action, flow)
-        turn = self.control.bend(action)
-        if turn is None:
-            turn = self.steering.turn(before["steering"])
-        return Command(turn, frequency / self.scales.period)
+        """Return what ``control`` chooses, turned by ``steering`` if actions do not steer."""
+        command = super().command(action, before)
+        if command.turn is None and command.bend is None:
+            return command._replace(turn=self.steering.turn(before["steering"]))
+        return command
 
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Measure position, heading, distance from the edges and the work done so far."""
@@ -193,9 +188,7 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
     def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Start in the first gear of ``control``, at rest."""
         steering_input = self._observe_steering(now)
-        return {
-            "gear": torch.full_like(now["flow_index"], self.control.start_gear),
-            "frequency": torch.zeros_like(now["heading"]),
+        return super().begin(now) | {
             "drift": torch.zeros_like(now["place"]),
             "steering": steering_input[:, None].expand(-1, self.steering.num_stacked, -1),
             "lateral_line": now["sensed"],
@@ -206,12 +199,9 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
     def remember(
         self, before: TensorDictBase, action: Tensor, now: TensorDictBase
     ) -> dict[str, Tensor]:
-        """Update gear, frequency, displacement, steering inputs and delayed signals."""
-        flow, line = self._name_flow(before), self.lateral_line
-        gear, frequency = self.control.choose(before["gear"], action, flow)
+        """Update displacement, steering inputs and delayed signals."""
+        line = self.lateral_line
         return {
-            "gear": gear,
-            "frequency": frequency,
             "drift": now["place"] - before["place"],
             "steering": torch.cat(
                 (before["steering"][:, 1:], self._observe_steering(now)[:, None]), 1
@@ -234,7 +224,7 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
             rim: −``rim_weight`` · d, with d the depth inside the rim of the safe area [L].
             danger: −``danger_penalty`` on entering the danger area or at an edge, 0 otherwise.
         """
-        paid = "positive_work" if self.control.bend_bl else "work"
+        paid = "positive_work" if self.control.largest_bend else "work"
         margin = self.safe_area.measure_margin(now["place"])
         return self.reward_terms.compute(
             drift=now["drift"][:, 0],
@@ -247,11 +237,6 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
         """Return whether the fish is in the danger area or at an edge."""
         hits_edge: Tensor = now["clearance"] < self.wall_margin
         return hits_edge | (self.safe_area.measure_margin(now["place"]) <= 0.0)
-
-    def action_mask(self, now: TensorDictBase) -> Tensor:
-        """Return the actions that ``control`` allows."""
-        gear: Tensor = now["gear"]
-        return self.control.mask(gear)
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return lateral line, true flow and diagnostics."""
@@ -313,7 +298,3 @@ class KarmanGait(AbstractFrequencyTask, AbstractSensingTask, HasHistory, HasScen
 
     def _observe_steering(self, now: TensorDictBase) -> Tensor:
         return self.steering.observe(now["place"], now["middle"], now["heading"])
-
-    def _name_flow(self, before: TensorDictBase) -> Tensor:
-        flow: Tensor = before["flow_class" if self.reads_flow_class else "flow_index"]
-        return flow

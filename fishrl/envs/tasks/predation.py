@@ -1,49 +1,34 @@
 """Predation, the paper's first task: catch moving food without touching a wall."""
 
-from dataclasses import replace
 from functools import cached_property
-from math import ceil, degrees, floor, pi, radians
-from typing import Annotated, ClassVar, Literal
+from math import ceil, floor, pi
+from typing import ClassVar
 
 import torch
-from pydantic import Field, NonNegativeFloat, PositiveFloat
+from pydantic import NonNegativeFloat, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.control import AbstractControlTask, Control, Turn
 from fishrl.envs.extensions import HasScene
-from fishrl.envs.macro_actions import BendControl, Rising
 from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.senses import OWN_SENSES, measure_own_motion
 from fishrl.envs.sensors import TARGET, compute_clearance, sense_target
-from fishrl.envs.task import Command, Sense
+from fishrl.envs.task import Sense
 from fishrl.envs.tasks.food import AbstractFoodTask
-from fishrl.physics.bodies.fish import Fish
-from fishrl.physics.bodies.motion import Bending
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.fast.solver import InPlaceSolver
-from fishrl.physics.lattice import MAX_IMPOSED_SPEED
-
-#: Time constant of a bend, T.
-RESPONSE_T = BendControl.response_T
-
-_Frequency = Annotated[float, Field(ge=0, le=10)]
 
 
-class AbstractPredation(AbstractFoodTask, HasScene):
+class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
     """Base of tasks in which fish catch food, whose path ``AbstractFoodTask`` describes.
 
-    Actions: 0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise; or two numbers, the
-    turn and the tail-beat frequency, which sets the speed.
+    By default actions turn the fish: 0 right (clockwise), 1 straight, 2 left. A fish with
+    ``control=Bend()`` also observes its own motion, see ``senses.OWN_SENSES``; it should decide
+    several times per T.
 
     Args:
-        action: discrete or continuous.
-        bends: actions bend the fish, and only the water turns it. It decides several times per T,
-            and also observes its own motion, see ``senses.list_senses``.
-        turn_degrees: heading change of one action, spread smoothly over the interval; the largest
-            one of a continuous action. Of a fish that bends, the bend (see ``motion.Bending``):
-            15° deflect the tail by 0.26 L.
-        frequency_range: least and largest tail-beat frequency of a continuous action, beats per T;
-            1 with discrete actions.
+        control: what actions command.
         start_x_bl: range of the initial nose position, in body lengths. Fish start on whole nodes
             and face -x; the range is clipped to keep them clear of the walls.
         start_y_bl: the same along y.
@@ -53,11 +38,14 @@ class AbstractPredation(AbstractFoodTask, HasScene):
     """
 
     success: ClassVar[str] = "captured"
+    former: ClassVar[dict[str, str]] = {
+        "action": "control.beat=continuous-frequency",
+        "bends": "control=bend",
+        "turn_degrees": "control.turn_degrees",
+        "frequency_range": "control.beat.frequency_range",
+    }
 
-    action: Literal["discrete", "continuous"] = "discrete"
-    bends: bool = False
-    turn_degrees: Annotated[float, Field(ge=0, le=180)] = 15.0
-    frequency_range: Annotated[tuple[_Frequency, _Frequency], Rising] = (0.5, 1.0)
+    control: Control = Turn()
     start_x_bl: tuple[float, float] = (5.0, 7.5)
     start_y_bl: tuple[float, float] = (0.25, 4.75)
     capture_radius_bl: PositiveFloat = 0.25
@@ -65,22 +53,6 @@ class AbstractPredation(AbstractFoodTask, HasScene):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.is_continuous and not self.turn_degrees:
-            raise ValueError("turn_degrees = 0: a continuous action needs one greater than 0")
-        tail_speed = self.bend_rate_bl * self.scales.reference_speed
-        if tail_speed > MAX_IMPOSED_SPEED:
-            raise ValueError(
-                f"turn_degrees = {self.turn_degrees:g} bends the tail at up to {tail_speed:.3g} "
-                f"nodes per step, allowed is {MAX_IMPOSED_SPEED}; bend less, or lower "
-                "max_wall_speed"
-            )
-        if radians(self.turn_degrees) > self.largest_turn:
-            raise ValueError(
-                f"turn_degrees = {self.turn_degrees:g} within control_interval_T = "
-                f"{self.control_interval_T:g}: nose and tail would move at more than "
-                f"{MAX_IMPOSED_SPEED} nodes per step, allowed is {degrees(self.largest_turn):.3g}; "
-                "turn less, raise the interval, or lower max_wall_speed"
-            )
         (x_low, x_high), (y_low, y_high) = self.start_range
         if x_low > x_high or y_low > y_high:
             raise ValueError(
@@ -98,47 +70,14 @@ class AbstractPredation(AbstractFoodTask, HasScene):
             )
 
     @property
-    def is_continuous(self) -> bool:
-        """Whether actions are continuous."""
-        return self.action == "continuous"
-
-    @property
-    def bend_rate_bl(self) -> float:
-        """Largest speed of the tail due to a bend, from one side to the other, L / T."""
-        return 2.0 * radians(self.turn_degrees) / RESPONSE_T if self.bends else 0.0
-
-    @property
-    def largest_turn(self) -> float:
-        """Largest turn of an action, radians, or its largest bend."""
-        return radians(self.turn_degrees) if self.bends else super().largest_turn
-
-    @property
-    def swimming_speed(self) -> float:
-        """Bound on the speed of a marker, with a bend but without commanded turns."""
-        return super().swimming_speed + self.bend_rate_bl * self.scales.reference_speed
-
-    @cached_property
-    def fish(self) -> Fish:
-        """The fish, which is turned or bends."""
-        if not self.bends:
-            return super().fish
-        return replace(super().fish, motion=Bending(response=self.control_interval_T / RESPONSE_T))
-
-    @property
-    def num_actions(self) -> int:
-        """Number of actions, or of the numbers in one."""
-        return len(self.action_names)
-
-    @property
-    def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
-        """Turn in degrees and frequency in beats per T of a continuous action."""
-        turns = (-self.turn_degrees, self.turn_degrees)
-        return (turns, self.frequency_range) if self.is_continuous else None
+    def bends(self) -> bool:
+        """Whether actions bend the fish."""
+        return self.control.largest_bend > 0.0
 
     @property
     def max_frequency(self) -> float:
-        """Highest tail-beat frequency, beats per T; at least 1, as with discrete actions."""
-        return max(1.0, self.frequency_range[1]) if self.is_continuous else 1.0
+        """Highest tail-beat frequency, beats per T; at least 1, with which each episode begins."""
+        return max(1.0, super().max_frequency)
 
     @cached_property
     def start_range(self) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -182,18 +121,9 @@ class AbstractPredation(AbstractFoodTask, HasScene):
     @property
     def marker_speed(self) -> float:
         """Bound on the speed of a marker in nodes per step, commanded turns included."""
-        if self.bends:
-            return self.swimming_speed
         # a turn takes the whole interval and is twice as fast at its middle as on average
-        turning = 2.0 * radians(self.turn_degrees) / self.n_substeps * self.body_length
+        turning = 2.0 * self.control.largest_turn / self.n_substeps * self.body_length
         return self.swimming_speed + turning
-
-    def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Turn or bend clockwise, not at all or counter-clockwise; or as a continuous one says."""
-        if self.is_continuous:
-            turn, frequency = action.unbind(-1)
-            return Command(turn.deg2rad(), frequency / self.scales.period)
-        return Command(turn=radians(self.turn_degrees) * (action.double() - 1.0))
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> dict[str, Tensor]:
         """Return approach and capture, ``[B]``, or ``[B, M]`` of M fish.
@@ -213,7 +143,7 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         )
         comes_nearer = (distance < old_distance) | (error.abs() < old_error.abs())
         approach = torch.where(comes_nearer, 1.0, -1.0)
-        if self.is_continuous or self.bends:
+        if self.action_bounds is not None or self.bends:
             approach = approach * (now["beats"] - before["beats"])
         return {"approach": approach, "capture": self.capture_reward * self.has_caught(now)}
 
@@ -263,15 +193,6 @@ class AbstractPredation(AbstractFoodTask, HasScene):
         """The motion of a fish that bends, and the food as seen from the nose."""
         food = Sense("place of the food", TARGET, lambda now: now["target"])
         return (*[OWN_SENSES["own_motion"]] * self.bends, food)
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the turns, or of the two numbers."""
-        verb = "bend" if self.bends else "turn"
-        if self.is_continuous:
-            low, high = self.frequency_range
-            return f"{verb}, ±{self.turn_degrees:g}°", f"frequency, {low:g} to {high:g} beats/T"
-        return f"{verb} {-self.turn_degrees:g}°", "keep", f"{verb} +{self.turn_degrees:g}°"
 
     def name_endings(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Tell whether the food was caught or a wall was hit, by any fish."""

@@ -7,8 +7,8 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 
+from fishrl.envs.control import MacroActions
 from fishrl.envs.lateral_line import KNOWN, LateralLine
-from fishrl.envs.macro_actions import MacroActions
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.tasks import KarmanGait
