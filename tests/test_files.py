@@ -18,7 +18,7 @@ from fishrl.envs.wakes import WakeBank, load_wakes
 from fishrl.files import load_tensors
 from fishrl.modules import LateralLineClassifier
 from fishrl.programs.lateral_line.collection import CollectionSettings, collect
-from fishrl.training.checkpoint import load_checkpoint, save_checkpoint
+from fishrl.training.checkpoint import Checkpoint, save_checkpoint
 from fishrl.training.policy_spec import PolicySpec
 from tests.envs.test_wakes import RECIPE
 from tests.experiments.gait.tasks import BRIEF, make_task
@@ -66,7 +66,7 @@ def make_policy(folder: Path, _: pytest.MonkeyPatch) -> Callable[[], Any]:
 
     def read() -> Any:
         renew_checksums(folder / "best")  # as whoever changes it on purpose
-        load_checkpoint(folder / "best", {"actor": net}, spec=spec)
+        Checkpoint.find(folder / "best").load({"actor": net}, spec=spec)
         return net.state_dict()
 
     return read

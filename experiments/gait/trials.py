@@ -21,7 +21,7 @@ from fishrl.files import load_tensors, staged
 from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import SILENT, Callback
-from fishrl.training.checkpoint import read_metadata
+from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.plan import Plan
 from fishrl.training.policies import load_policy
 
@@ -121,8 +121,8 @@ def load_trial(
     run: Path, *, periods: float = PERIODS, recognition: Recognition | None = None
 ) -> Trial:
     """Return the trial of the learned policy of a run folder, with its classifier or another."""
-    path, metadata = read_metadata(run)
-    plan = Plan.from_config(metadata["config"])
+    found = Checkpoint.find(run)
+    path, plan = found.path, Plan.from_config(found.config)
     source, task = recognition or plan.recognition, plan.task
     if source is not None:
         task = source.check(task)

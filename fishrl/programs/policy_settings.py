@@ -12,7 +12,7 @@ from fishrl.envs.episodes import Policy
 from fishrl.programs.configuration import Node
 from fishrl.programs.program import TaskSettings
 from fishrl.training.callback import Callback
-from fishrl.training.checkpoint import read_metadata
+from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.policies import prepare
 from fishrl.training.policy_zoo import PREFIX, list_policies
 
@@ -106,7 +106,7 @@ def read_task(given: Node) -> Node:
     source = policy if policy.startswith(PREFIX) else given.get("checkpoint")
     if source is None:
         return {}
-    trained = read_metadata(str(source))[1]["config"]
+    trained = Checkpoint.find(str(source)).config
     found: dict[str, Any] = {}
     if "recognition.path" not in given:
         found["recognition"] = trained.get("recognition")

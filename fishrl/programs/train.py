@@ -22,12 +22,13 @@ from fishrl.programs.sweeps.jobs import sweep
 from fishrl.programs.sweeps.runs import show_modules, show_resume
 from fishrl.programs.train_settings import TRAINING, TrainConfig
 from fishrl.training.callback import SILENT, Callback
-from fishrl.training.checkpoint import read_metadata
+from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.evaluation import FINAL_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, exit_status
 from fishrl.training.loop import Training
+from fishrl.training.opening import Opened, open_run
 from fishrl.training.progress import Progress
-from fishrl.training.runs import begin, complete, find_result
+from fishrl.training.runs import complete
 
 
 class RunCallback(LiveView):
@@ -57,9 +58,9 @@ class RunCallback(LiveView):
         )
 
 
-def set_up(config: TrainConfig, progress: Callback = SILENT) -> Training:
-    """Begin the run of these settings, or continue the one in its folder; see ``begin``."""
-    return begin(config, callbacks=[progress, RunCallback(config, progress)])
+def set_up(opened: Opened, config: TrainConfig, progress: Callback = SILENT) -> Training:
+    """Return the training of a run that was opened with these settings."""
+    return Training(opened, callbacks=[progress, RunCallback(config, progress)])
 
 
 def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> None:
@@ -92,17 +93,18 @@ def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> 
 @program(TRAINING, sweep=sweep)
 def main(settings: TrainConfig) -> None:
     """Begin or continue a run; print the command to resume it if it is interrupted."""
-    if find_result(settings) is not None:
+    opened = open_run(settings)
+    if opened.summary is not None:
         print(f"{settings.path}: already finished; total_frames=... extends it")
         return
     with Progress() as progress:
-        training = set_up(settings, progress)
+        training = set_up(opened, settings, progress)
         folder = training.folder.path
         hint = f"resume with: {show_resume(folder, settings.modules)}"
         try:
             summary = complete(training)
         except Interrupted as end:
-            frames = read_metadata(folder, which="last")[1]["frames"]
+            frames = Checkpoint.find(folder, which="last").frames
             print(f"{end}: saved at frame {frames}; {hint}", file=sys.stderr)
             sys.exit(128 + end.number)
         except KeyboardInterrupt as end:

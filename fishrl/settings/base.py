@@ -28,7 +28,8 @@ _CONFIG = pydantic.ConfigDict(
 class Role(Enum):
     """What a setting of a training affects; stated in the annotation of its field."""
 
-    RESULT = "what is learned"  # of a field that states none; see plan.FIXED
+    RESULT = "what is learned"  # of a field that states none; fixed once a run has begun
+    CONTINUATION = "what is learned from where a run continues"
     EVALUATION = "the final evaluation alone"
     HARMLESS = "what is logged, saved or shown"
 

@@ -23,11 +23,13 @@ from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.baselines import baseline, find_baselines
 from fishrl.training.callback import Callback
 from fishrl.training.interruption import Interrupted
+from fishrl.training.loop import Training
+from fishrl.training.opening import Opened, open_run
 from fishrl.training.plan import Plan
 from fishrl.training.policies import evaluate, load_plan, load_policy
 from fishrl.training.progress import Progress
 from fishrl.training.recognition import Classifier
-from fishrl.training.runs import begin, complete, find_result, make_folder, reopen, resume, train
+from fishrl.training.runs import complete, resume, train
 from fishrl.training.settings import LearningSettings, RunSettings
 
 __all__ = [
@@ -37,19 +39,18 @@ __all__ = [
     "DiscreteSAC",
     "Interrupted",
     "LearningSettings",
+    "Opened",
     "Plan",
     "Progress",
     "RunSettings",
+    "Training",
     "baseline",
-    "begin",
     "complete",
     "evaluate",
     "find_baselines",
-    "find_result",
     "load_plan",
     "load_policy",
-    "make_folder",
-    "reopen",
+    "open_run",
     "resume",
     "train",
 ]

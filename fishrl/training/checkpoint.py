@@ -10,12 +10,14 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PositiveInt
 from torch import nn
-from torchrl.checkpoint import Checkpoint, StateDictCheckpointAdapter
+from torchrl import checkpoint as torchrl_checkpoint
 
 from fishrl.files import describe_tensor, load_tensors, write_whole
 from fishrl.training.plain_files import Count, Stored, Tree, read_plain
@@ -89,9 +91,10 @@ def save_checkpoint(
         if fresh.exists() and not path.exists():  # killed between the renames: it is the newest
             os.replace(fresh, path)
         _clear(path)
-        checkpoint = Checkpoint()
+        checkpoint = torchrl_checkpoint.Checkpoint()
+        adapter = torchrl_checkpoint.StateDictCheckpointAdapter("torch")
         for name, component in components.items():
-            checkpoint.register(name, component, adapter=StateDictCheckpointAdapter("torch"))
+            checkpoint.register(name, component, adapter=adapter)
         checkpoint.save(stage, metadata=metadata)
         write_sums(stage)
         for file in (stage, *stage.rglob("*")):
@@ -118,75 +121,80 @@ def write_sums(folder: Path) -> None:
     write_whole(folder / SUMS, "".join(lines))
 
 
-def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[str, Any]]:
-    """Find a checkpoint and read its metadata.
+@dataclass(frozen=True)
+class Checkpoint:
+    """A checkpoint on the disk, as its manifest describes it."""
 
-    ``path`` is a checkpoint, ``zoo/<name>`` (see ``fishrl.zoo``), or a run folder, in which
-    ``which`` selects ``best`` (if missing, the last) or ``last``.
+    path: Path  #: its folder
+    manifest: _Manifest  #: what it holds
 
-    Raises:
-        ValueError: if it is missing or corrupt.
-    """
-    folder = find_folder(path)
-    if (folder / "config.yaml").is_file() or (folder / "checkpoints").is_dir():
-        folder = folder / "checkpoints"
-        folder /= which if _list_complete(folder / which) else "last"
-    found = next(iter(_list_complete(folder)), folder)
-    refuse_many(found, setting="checkpoint")
-    if not any((found / name).is_file() for name in (MANIFEST, SUMS)):
-        raise ValueError(
-            f"checkpoint {folder}: there is none; give the folder of a run, or one of its "
-            "checkpoints/best and checkpoints/last"
-        )
-    try:
-        manifest = _read_manifest(found)
-        _check_files(found, [MANIFEST])
-        metadata = manifest.metadata.model_dump()
-        return found, {**metadata, "config": locate(adopt_config(metadata["config"]), found)}
-    except (OSError, ValueError) as error:
-        raise _corrupt(found, error) from error
+    @classmethod
+    def find(cls, path: str | Path, *, which: str = "best") -> Self:
+        """Find a checkpoint and read its manifest.
 
+        ``path`` is a checkpoint, ``zoo/<name>`` (see ``fishrl.zoo``), or a run folder, in which
+        ``which`` selects ``best`` (if missing, the last) or ``last``.
 
-def check_checkpoint(path: Path) -> None:
-    """Compare all states with their checksums, before what would load them is compiled.
+        Raises:
+            ValueError: if it is missing or corrupt.
+        """
+        folder = find_folder(path)
+        if (folder / "config.yaml").is_file() or (folder / "checkpoints").is_dir():
+            folder = folder / "checkpoints"
+            folder /= which if _list_complete(folder / which) else "last"
+        found = next(iter(_list_complete(folder)), folder)
+        refuse_many(found, setting="checkpoint")
+        if not any((found / name).is_file() for name in (MANIFEST, SUMS)):
+            raise ValueError(
+                f"checkpoint {folder}: there is none; give the folder of a run, or one of its "
+                "checkpoints/best and checkpoints/last"
+            )
+        try:
+            manifest = _read_manifest(found)
+            _check_files(found, [MANIFEST])
+        except (OSError, ValueError) as error:
+            raise _corrupt(found, error) from error
+        return cls(found, manifest)
 
-    Raises:
-        ValueError: if one is missing or damaged.
-    """
-    try:
-        _check_files(path, [part.file for part in _read_manifest(path).components.values()])
-    except (OSError, ValueError) as error:
-        raise _corrupt(path, error) from error
+    @property
+    def frames(self) -> int:
+        """Frames of the training at which it was saved."""
+        return self.manifest.metadata.frames
 
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """Settings of the run, see ``Plan.from_config``."""
+        return locate(adopt_config(self.manifest.metadata.config), self.path)
 
-def load_checkpoint(
-    path: str | Path,
-    components: Mapping[str, Any],
-    *,
-    spec: PolicySpec,
-    device: str = "cpu",
-    which: str = "best",
-) -> dict[str, Any]:
-    """Load components' states from a checkpoint and return its metadata, see ``read_metadata``.
+    @cached_property
+    def files(self) -> dict[str, Path]:
+        """File of each component's state; ValueError if one is missing or damaged."""
+        files = {name: part.file for name, part in self.manifest.components.items()}
+        try:
+            _check_files(self.path, files.values())
+        except (OSError, ValueError) as error:
+            raise _corrupt(self.path, error) from error
+        return {name: self.path / file for name, file in files.items()}
 
-    Raises:
-        ValueError: if it is missing, corrupt, or not of the task and sizes of ``spec``.
-    """
-    found, metadata = read_metadata(path, which=which)
-    spec.check(metadata, path=found)
-    try:
-        stored = _read_manifest(found).components
-        _check_files(found, [stored[name].file for name in components])
-        for name, component in components.items():
-            own = component.state_dict() if isinstance(component, nn.Module) else {}
-            like = {key: describe_tensor(value) for key, value in own.items()}
-            remedy = "it is of another version, or its training diverged"
-            path = found / stored[name].file
-            state = load_tensors(path, what=name, remedy=remedy, like=like or None, device=device)
-            component.load_state_dict(state)
-    except Exception as error:  # states of other versions raise any
-        raise _corrupt(found, error) from error
-    return metadata
+    def load(self, components: Mapping[str, Any], *, spec: PolicySpec, device: str = "cpu") -> None:
+        """Load components' states.
+
+        Raises:
+            ValueError: if one is corrupt, or not of the task and sizes of ``spec``.
+        """
+        spec.check(self.manifest.metadata.model_dump(), path=self.path)
+        files = self.files
+        try:
+            for name, component in components.items():
+                own = component.state_dict() if isinstance(component, nn.Module) else {}
+                like = {key: describe_tensor(value) for key, value in own.items()}
+                remedy = "it is of another version, or its training diverged"
+                state = load_tensors(
+                    files[name], what=name, remedy=remedy, like=like or None, device=device
+                )
+                component.load_state_dict(state)
+        except Exception as error:  # states of other versions raise any
+            raise _corrupt(self.path, error) from error
 
 
 def _read_manifest(path: Path) -> _Manifest:

@@ -16,7 +16,7 @@ from torchrl.envs import ActionMask, EnvBase, Transform, TransformedEnv
 
 from fishrl.envs.agents import EachFish
 from fishrl.training.learner import Learner
-from fishrl.training.resolve import ResolvedRun
+from fishrl.training.opening import Opened
 
 
 class ResumableCollector(Collector):
@@ -79,15 +79,15 @@ class RemoteCollector(ResumableCollector):
         super().load_state_dict(state, **kwargs)
 
 
-def make_collector(resolved: ResolvedRun, learner: Learner, *, seed: int) -> Any:
+def make_collector(opened: Opened, learner: Learner, *, seed: int) -> Any:
     """Make the collector of a run, in this process or in those of a cluster.
 
     The learner's explorer acts, for each fish if there are several.
     """
-    explorer, plan = learner.explorer, resolved.plan
-    if resolved.task.num_fish > 1:
+    explorer, plan = learner.explorer, opened.plan
+    if opened.task.num_fish > 1:
         explorer = EachFish(explorer, explorer.out_keys)
-    make_flows = partial(_extend, resolved.make_flows, learner.transforms)
+    make_flows = partial(_extend, opened.make_flows, learner.transforms)
     env = make_flows(flows=plan.flows, seed=seed)
     actor_device = plan.learner_device and next(learner.actor.parameters()).device
     local = ResumableCollector(

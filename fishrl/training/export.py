@@ -11,7 +11,7 @@ import yaml
 from fishrl import __version__
 from fishrl.files import check_names, write_whole
 from fishrl.pages import escape, write_csv, write_table
-from fishrl.training.checkpoint import read_metadata, save_checkpoint, write_sums
+from fishrl.training.checkpoint import Checkpoint, save_checkpoint, write_sums
 from fishrl.training.logger import read_rows
 from fishrl.training.plan import Plan
 from fishrl.training.policies import load_policy
@@ -59,16 +59,16 @@ def export_policy(
     source, folder = RunFolder(check_names(Path(run).expanduser())), Path(folder).expanduser()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ValueError(f"folder = {folder}: exists; name a new one")
-    path, metadata = read_metadata(source.path)
-    plan = Plan.from_config(metadata["config"])
+    best = Checkpoint.find(source.path)
+    plan = Plan.from_config(best.config)
     if source.config.is_file():  # its settings may have changed since the best checkpoint
         plan = Plan.from_config(read_config(source.config))
-    actor = load_policy(path)
+    actor = load_policy(best.path)
     spec = PolicySpec.for_task(plan.task, has_labels=plan.recognition is not None)
     plan = replace(plan, folder="runs", name=folder.name)  # not where it was on this machine
     config = plan.to_config()
     folder.parent.mkdir(parents=True, exist_ok=True)
-    save_checkpoint(folder, {"actor": actor}, spec=spec, frames=metadata["frames"], config=config)
+    save_checkpoint(folder, {"actor": actor}, spec=spec, frames=best.frames, config=config)
     if plan.recognition is not None:
         plan.recognition.keep(folder)
     summary = read_summary(source.summary) if source.summary.is_file() else {}
@@ -79,7 +79,7 @@ def export_policy(
         write_csv(folder / source.metrics.name, list(rows[0]), short)
     write_sums(folder)
     card = _write_card(
-        plan, summary, title=title or folder.name, frames=metadata["frames"], revision=revision
+        plan, summary, title=title or folder.name, frames=best.frames, revision=revision
     )
     write_whole(folder / "README.md", card)
     return folder

@@ -21,13 +21,13 @@ from fishrl.settings import describe
 from fishrl.torch_state import one_thread, with_own_state
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import Callback, join
-from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
+from fishrl.training.checkpoint import Checkpoint, CheckpointNotWritten, save_checkpoint
 from fishrl.training.collector import RNGState, make_collector
 from fishrl.training.evaluation import FINAL_SEED, SELECTION_SEED, TRAIN_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
-from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
-from fishrl.training.resolve import ResolvedRun
-from fishrl.training.run_folder import RunFolder, write_json
+from fishrl.training.metrics import Counters, compute_mlups, list_metrics, measure_memory_mb
+from fishrl.training.opening import Opened
+from fishrl.training.run_folder import write_json, write_yaml
 
 logger = logging.getLogger(__name__)
 
@@ -37,24 +37,25 @@ class Training:
     """One run: collect, update, evaluate and save until ``total_frames`` is reached.
 
     Args:
-        resolved: the run.
-        folder: where it is written, by no other process.
+        opened: the run; ValueError if it does not fit this machine, or another process writes it.
         callbacks: see ``Callback``.
         interruption: remembers the signal that ends the run.
     """
 
     def __init__(
         self,
-        resolved: ResolvedRun,
+        opened: Opened,
         *,
-        folder: RunFolder,
         callbacks: Iterable[Callback] = (),
         interruption: Interruption | None = None,
     ) -> None:
-        self._began, self._lock = time.perf_counter(), folder.hold()
-        self.resolved, self.folder, self.plan = resolved, folder, resolved.plan
-        self.task, self.callbacks = resolved.task, join(callbacks)
+        self._began = time.perf_counter()
+        opened.check()
+        self.opened = opened = opened.enter()
+        self.folder, self.plan, self.task = opened.folder, opened.plan, opened.task
         self.counters, self.interruption = Counters(), interruption or Interruption()
+        self.callbacks, self._lock = join(callbacks), self.folder.hold()
+        logger.info("run folder: %s", self.folder.path)
         if self.plan.total_frames <= self.plan.warmup_frames:
             logger.warning(
                 "no gradient step in this run: total_frames = %d ends before warmup_frames = %d is "
@@ -62,16 +63,25 @@ class Training:
                 self.plan.total_frames,
                 self.plan.warmup_frames,
             )
+        with self.folder.noting_failure():
+            self._set_up()
+            if opened.checkpoint is not None:
+                self._restore(opened.checkpoint)
+            self.folder.summary.unlink(missing_ok=True)  # it will be replaced
+            write_yaml(self.folder.config, opened.stored | self.plan.to_config())
+
+    def _set_up(self) -> None:
+        """Make the learner and the flows."""
         seed = self.plan.seed
         random.seed(seed)
         np.random.seed(seed)  # noqa: NPY002 - for libraries that use the global generator
         torch.manual_seed(seed)
         self.learner = self.plan.algorithm.make_learner(
-            resolved.spec, self.plan, device=self.plan.policy_device
+            self.opened.spec, self.plan, device=self.plan.policy_device
         )
         self.callbacks.on_phase("compilation" if self.plan.flows.compile else "set-up")
         with ignore_signals_in_children():  # a checkpoint needs the flows in these processes
-            self.collector = make_collector(resolved, self.learner, seed=TRAIN_SEED + seed)
+            self.collector = make_collector(self.opened, self.learner, seed=TRAIN_SEED + seed)
         self.callbacks.on_begin(self.collector.env)
 
     def run(self) -> dict[str, Any]:
@@ -146,7 +156,7 @@ class Training:
             **self.counters.metrics(),
             **{f"train/{name}": value for name, value in self.counters.losses.items()},
             "time/frames_per_second": num_frames / seconds,
-            "time/mlups": self.resolved.compute_mlups(num_frames, seconds),
+            "time/mlups": compute_mlups(self.task, num_frames, seconds),
         }
 
     def _conclude(self, metrics: dict[str, float]) -> None:
@@ -167,7 +177,7 @@ class Training:
             "frames per s": metrics["time/frames_per_second"],
             "MLUPS": metrics["time/mlups"],
             "return": metrics["train/return"],
-            self.resolved.success: metrics["train/success_rate"],
+            self.opened.success: metrics["train/success_rate"],
         }
         self.callbacks.on_phase(self._phase())
         self.callbacks.on_progress(self.plan.flows.num_envs, shown)
@@ -186,22 +196,23 @@ class Training:
 
     def finish(self) -> dict[str, Any]:
         """Evaluate the best policy and the baselines; write and return the summary."""
-        resolved, counters, actor = self.resolved, self.counters, self.learner.actor
-        best = self._load({"actor": actor}, which="best")
+        counters, actor = self.counters, self.learner.actor
+        best = Checkpoint.find(self.folder.path, which="best")
+        self._load(best, {"actor": actor})
         summary = self._compare() | {
-            "task": resolved.spec.task,
-            "success": resolved.success,
-            "baselines": list(resolved.baselines),
+            "task": type(self.task).__name__,
+            "success": self.opened.success,
+            "baselines": list(self.opened.baselines),
             "preset": self.plan.preset,
             "algorithm": describe(self.plan.algorithm),
             "seed": self.plan.seed,
             "frames": counters.frames,
-            "best_checkpoint_frames": best["frames"],
+            "best_checkpoint_frames": best.frames,
             "updates": counters.updates,
             "train_episodes": counters.episodes,
             "train_diverged": counters.diverged,
             "wall_seconds": self._wall_seconds(),
-            "mlups": resolved.compute_mlups(counters.frames, counters.collect_seconds),
+            "mlups": compute_mlups(self.task, counters.frames, counters.collect_seconds),
         }
         env, policy, folder = self.collector.env, self._make_interruptible(actor), self.folder
         try:
@@ -217,7 +228,7 @@ class Training:
 
     def _compare(self) -> dict[str, Any]:
         """Return the final metrics of the learned policy, and ``<name>_...`` of each baseline."""
-        names, num = self.resolved.baselines, self.plan.final_episodes
+        names, num = self.opened.baselines, self.plan.final_episodes
         metrics: dict[str, Any] = {}
         self.callbacks.on_phase("evaluation", total=num * (1 + len(names)))
         for name in ("", *names):
@@ -260,16 +271,18 @@ class Training:
         others = {"collector": self.collector, "rng": RNGState(), "counters": self.counters}
         return self.learner.components() | others
 
-    def restore(self) -> None:
-        """Continue from the last checkpoint in the folder; see ``load_checkpoint``."""
-        self._load(self._components(), which="last")
+    def _restore(self, checkpoint: Checkpoint) -> None:
+        """Continue from a checkpoint."""
+        try:
+            self._load(checkpoint, self._components())
+        except ValueError:
+            self.close()
+            raise
         self._began -= self.counters.wall_seconds
         logger.info("continuing from frame %d of %s", self.counters.frames, self.folder.path)
 
-    def _load(self, components: dict[str, Any], *, which: str) -> dict[str, Any]:
-        """Load components from the ``best`` or ``last`` checkpoint and return its metadata."""
-        path, spec, device = self.folder.path, self.resolved.spec, self.plan.policy_device
-        return load_checkpoint(path, components, spec=spec, device=device, which=which)
+    def _load(self, checkpoint: Checkpoint, components: dict[str, Any]) -> None:
+        checkpoint.load(components, spec=self.opened.spec, device=self.plan.policy_device)
 
     def _save(self, path: Path, *, is_needed: bool = True) -> bool:
         """Save a checkpoint; a failure is only logged unless ``is_needed``, as on a full disk."""
@@ -281,7 +294,7 @@ class Training:
             save_checkpoint(
                 path,
                 self._components(),
-                spec=self.resolved.spec,
+                spec=self.opened.spec,
                 frames=self.counters.frames,
                 config=self.plan.to_config(),
                 keep=self.plan.keep_checkpoints if is_last else 1,

@@ -9,6 +9,7 @@ import numpy as np
 import psutil
 from tensordict import TensorDictBase
 
+from fishrl.envs import AbstractTask
 from fishrl.envs.agents import average_fish
 from fishrl.envs.episodes import has_succeeded
 
@@ -87,6 +88,13 @@ class Counters:
             "train/diverged": self.diverged,
             "train/updates": self.updates,
         }
+
+
+def compute_mlups(task: AbstractTask, num_frames: int, seconds: float) -> float:
+    """Return million lattice node updates per second, with sensing and policy included."""
+    flow = task.flow_config()
+    num_updates = flow.width * flow.height * task.n_substeps * num_frames
+    return num_updates / max(seconds, 1e-9) / 1e6
 
 
 def measure_memory_mb() -> float:

@@ -32,10 +32,8 @@ class Plan(RunSettings, LearningSettings):
     recognition: Recognition | None = None
 
     def __post_init__(self) -> None:
-        """Check the algorithm, and take over the settings that follow from its own."""
+        """Check that the algorithm learns the actions of the task."""
         self.algorithm.check(self.task)
-        for name, value in self.algorithm.adapt(self).items():
-            object.__setattr__(self, name, value)
         super().__post_init__()
 
     @property
@@ -98,6 +96,5 @@ class Plan(RunSettings, LearningSettings):
 
 def is_fixed(key: str) -> bool:
     """Return whether a setting, by its dotted key, is fixed once a run has begun."""
-    name = key.partition(".")[0]
-    of_plan, of_run = ({entry.name for entry in list_fields(k)} for k in (Plan, RunSettings))
-    return name in of_plan - of_run and find_role(Plan, key) is Role.RESULT
+    is_of_plan = key.partition(".")[0] in {entry.name for entry in list_fields(Plan)}
+    return is_of_plan and find_role(Plan, key) is Role.RESULT

@@ -14,7 +14,7 @@ from fishrl.physics.fast.checks import check_device
 from fishrl.torch_state import in_own_state
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import Callback, join
-from fishrl.training.checkpoint import load_checkpoint, read_metadata
+from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
@@ -26,9 +26,9 @@ def load_plan(checkpoint: str | Path) -> Plan:
     Args:
         checkpoint: run folder, checkpoint, or ``zoo/<name>`` for a policy of ``fishrl.zoo``.
 
-    Errors are those of ``Plan.from_config`` and ``read_metadata``.
+    Errors are those of ``Plan.from_config`` and ``Checkpoint.find``.
     """
-    return Plan.from_config(read_metadata(checkpoint)[1]["config"])
+    return Plan.from_config(Checkpoint.find(checkpoint).config)
 
 
 @in_own_state
@@ -52,12 +52,13 @@ def load_policy(
 
     Errors are those of ``load_plan``.
     """
-    plan = load_plan(checkpoint)
+    found = Checkpoint.find(checkpoint)
+    plan = Plan.from_config(found.config)
     if has_labels is None:
         has_labels = plan.recognition is not None
     spec = PolicySpec.for_task(task or plan.task, hidden=plan.hidden, has_labels=has_labels)
     actor = plan.algorithm.make_policy(spec).to(device)
-    load_checkpoint(checkpoint, {"actor": actor}, spec=spec, device=device)
+    found.load({"actor": actor}, spec=spec, device=device)
     return actor
 
 

@@ -69,7 +69,7 @@ class RunFolder:
 
     @classmethod
     def of_existing(cls, path: str | Path) -> RunFolder:
-        """Return the folder of an existing run; raise ValueError if it is none or not writable."""
+        """Return the folder of an existing run; raise ValueError if it is none."""
         folder = cls(Path(path).expanduser())
         if not folder.config.is_file():
             refuse_many(folder.path, setting="resume")
@@ -77,7 +77,7 @@ class RunFolder:
                 f"resume = {path}: no config.yaml there; give the folder of a run, such as "
                 "runs/predation-seed0"
             )
-        return folder.checked()
+        return folder
 
     def checked(self) -> RunFolder:
         """Return the folder if files can be written into it, or raise ValueError."""

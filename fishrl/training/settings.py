@@ -72,14 +72,14 @@ class RunSettings(Settings):
             ``fishrl.training.baselines``.
     """
 
-    total_frames: PositiveInt = 2800
-    learner_device: str | None = None
+    total_frames: Annotated[PositiveInt, Role.CONTINUATION] = 2800
+    learner_device: Annotated[str | None, Role.CONTINUATION] = None
     folder: Annotated[str, Role.HARMLESS] = "runs"
     name: Annotated[str | None, Role.HARMLESS] = None
     log_frames: Annotated[PositiveInt, Role.HARMLESS] = 64
     checkpoint_frames: Annotated[PositiveInt, Role.HARMLESS] = 350
     keep_checkpoints: Annotated[PositiveInt, Role.HARMLESS] = 2
-    eval_frames: PositiveInt = 700
-    eval_episodes: Annotated[PositiveInt, Field(le=10**6)] = 16
+    eval_frames: Annotated[PositiveInt, Role.CONTINUATION] = 700
+    eval_episodes: Annotated[PositiveInt, Field(le=10**6), Role.CONTINUATION] = 16
     final_episodes: Annotated[PositiveInt, Field(le=10**6), Role.EVALUATION] = 32
     baselines: Annotated[tuple[str, ...] | None, Role.EVALUATION] = None

@@ -13,8 +13,8 @@ from experiments.reproduce import Job, Record, list_jobs, run_job
 from fishrl.__main__ import list_programs
 from fishrl.physics.flow import Coupling
 from fishrl.programs.sweeps.jobs import plan_jobs
+from fishrl.training import open_run
 from fishrl.training.run_folder import write_json
-from fishrl.training.runs import make_folder
 
 
 @pytest.mark.parametrize("name", reproduce.main.command_line.list_choices()["scale"])
@@ -36,7 +36,7 @@ def test_jobs_of_scale_are_valid_commands(name: str, tmp_path: Path) -> None:
 def begin(words: Sequence[str]) -> Path:
     """Make the folder of the only run of a sweep."""
     (job,) = plan_jobs(words)
-    return make_folder(job.settings)[0].path
+    return open_run(job.settings).enter().folder.path
 
 
 def test_jobs_use_results_of_earlier_jobs(tmp_path: Path) -> None:

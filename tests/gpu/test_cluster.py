@@ -9,7 +9,7 @@ import ray
 import torch
 
 from fishrl.envs import Flows, Predation
-from fishrl.training import Plan, begin, complete
+from fishrl.training import Plan, Training, complete, open_run
 from tests.docs.test_tutorials import BRIEF
 from tests.envs.test_real_flow import TINY
 
@@ -49,7 +49,7 @@ def make_plan(folder: Path, *, name: str, num_frames: int, ray_collectors: int =
 
 
 def test_each_collector_has_a_gpu_of_its_own(tmp_path: Path) -> None:
-    training = begin(make_plan(tmp_path, name="run", num_frames=4))
+    training = Training(open_run(make_plan(tmp_path, name="run", num_frames=4)))
     assert ray.available_resources().get("GPU", 0.0) == 0.0
     complete(training)
     assert training.learner.buffer[:]["observation_stack"].device.type == "cuda"
@@ -57,4 +57,4 @@ def test_each_collector_has_a_gpu_of_its_own(tmp_path: Path) -> None:
 
 def test_a_cluster_with_too_few_gpus_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="the cluster has 2 GPUs, and each takes one"):
-        begin(make_plan(tmp_path, name="run", num_frames=2, ray_collectors=3))
+        Training(open_run(make_plan(tmp_path, name="run", num_frames=2, ray_collectors=3)))

@@ -14,8 +14,7 @@ from fishrl.training import (
     LearningSettings,
     Plan,
     RunSettings,
-    begin,
-    reopen,
+    open_run,
     resume,
     train,
 )
@@ -75,7 +74,7 @@ def test_flows_and_networks_have_devices_of_their_own(
             folder=str(tmp_path), name=name, eval_frames=16, eval_episodes=1, final_episodes=1,
             baselines=(),
         )  # fmt: skip
-        return begin(plan)
+        return Training(open_run(plan))
 
     whole = start("whole", 32)
     whole.run()
@@ -83,7 +82,7 @@ def test_flows_and_networks_have_devices_of_their_own(
     assert whole.learner.buffer[:].device.type == learner_device
     assert whole.collector.env.base_env.device.type == device
     start("parts", 16).run()
-    parts = reopen(tmp_path / "parts", total_frames=32)
+    parts = Training(open_run(tmp_path / "parts", total_frames=32))
     parts.run()
     assert_equal_weights(whole, parts)
 

@@ -11,7 +11,7 @@ import pytest
 from fishrl.envs import Flows, KarmanGait
 from fishrl.programs import evaluate, summarize, train, train_lateral_line
 from fishrl.programs.configuration import quote
-from fishrl.training.checkpoint import read_metadata
+from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.run_folder import write_yaml
 
 read = train.main.read
@@ -134,7 +134,7 @@ def test_a_resume_of_no_run_or_of_several_is_an_error(tmp_path: Path) -> None:
     stored_run(tmp_path / "one")
     check("holds runs; name one of them, such as")
     with pytest.raises(ValueError, match="holds runs; name one of them, such as"):
-        read_metadata(tmp_path)
+        Checkpoint.find(tmp_path)
     (tmp_path / "config.yaml").write_text("a: [1")
     check("not the configuration of a run")
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from fishrl.programs.sweeps.runs import read_run
-from fishrl.training.checkpoint import read_metadata
+from fishrl.training.checkpoint import Checkpoint
 from tests.programs.test_sweep_jobs import HERE, ROOT, SETTINGS
 
 pytestmark = pytest.mark.sweep
@@ -48,6 +48,6 @@ def test_runs_of_joblib_save_before_it_kills_them(tmp_path: Path) -> None:
     assert "0 of 2 runs finished" in out
     for mark in marks:
         assert (read_run(mark.parent).status, read_run(mark.parent).frames) == ("stopped", 8)
-        assert read_metadata(mark.parent, which="last")[1]["frames"] == 8
+        assert Checkpoint.find(mark.parent, which="last").frames == 8
         said = (mark.parent / "output.log").read_text(encoding="utf-8")
         assert "SIGINT: saved at frame 8" in said

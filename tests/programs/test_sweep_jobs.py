@@ -23,10 +23,9 @@ from fishrl.programs.sweeps.jobs import Job, find_runs, plan_jobs
 from fishrl.programs.sweeps.runs import read_run, read_runs
 from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import describe
-from fishrl.training import find_result
-from fishrl.training.checkpoint import read_metadata
+from fishrl.training import open_run
+from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.run_folder import read_config, write_json, write_yaml
-from fishrl.training.runs import make_folder
 from tests.modules.test_lateral_line import make as make_classifier
 from tests.physics.fast.test_workers import find_processes
 from tests.training.conftest import read_rows
@@ -120,7 +119,7 @@ def test_a_mistake_in_any_job_ends_the_sweep_before_it_begins(
 def begin(folder: Path, *words: str) -> Job:
     """Write a run that is to be trained, as its job does first."""
     (job,) = plan_jobs([f"folder={folder}", *words])
-    make_folder(job.settings)
+    open_run(job.settings).enter()
     return job
 
 
@@ -130,19 +129,19 @@ def test_a_run_of_the_same_settings_is_continued_and_one_of_others_is_refused(
     first = begin(tmp_path)
     assert find_runs([f"folder={tmp_path}"]) == [first.path]
     assert find_runs([f"folder={tmp_path}", "seed=1,2"]) == []
-    assert not find_result(first.settings)
+    assert open_run(first.settings).state == "new"
     write_json(first.path / "summary.json", {"frames": 2800})
-    assert find_result(first.settings)
+    assert open_run(first.settings).state == "finished"
     (longer,) = plan_jobs([f"folder={tmp_path}", "total_frames=3000", "port=9900"])
-    assert not find_result(longer.settings)
+    assert open_run(longer.settings).state == "new"
     (compared,) = plan_jobs([f"folder={tmp_path}", "baselines=[random]", "log_frames=8"])
-    assert not find_result(compared.settings)  # it is evaluated again
+    assert open_run(compared.settings).state == "new"  # it is evaluated again
     (logged,) = plan_jobs([f"folder={tmp_path}", "log_frames=8"])
-    assert find_result(logged.settings)
+    assert open_run(logged.settings).state == "finished"
     for word in ("gamma=0.5", "task.reynolds=500", "recognition=oracle", "algorithm=dqn"):
         (other,) = plan_jobs([f"folder={tmp_path}", word])
         with pytest.raises(ValueError, match=rf"is .* in {first.path}; take another folder"):
-            find_result(other.settings)
+            open_run(other.settings)
     with pytest.raises(SystemExit, match=r"gamma = 0\.5: is 0\.99 in .*run"):
         train.main(["--multirun", f"folder={tmp_path}", "gamma=0.5"])
 
@@ -150,7 +149,7 @@ def test_a_run_of_the_same_settings_is_continued_and_one_of_others_is_refused(
 def test_settings_that_an_algorithm_adapts_are_those_of_its_run(tmp_path: Path) -> None:
     job = begin(tmp_path, "algorithm=ppo")
     assert read_config(job.path / "config.yaml")["buffer_size"] == job.settings.flows.num_envs * 32
-    assert not find_result(job.settings)
+    assert open_run(job.settings).state == "new"
 
 
 def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
@@ -162,10 +161,10 @@ def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
     for file, is_same in zip(files, (True, True, False), strict=True):
         (job,) = plan_jobs([f"folder={tmp_path}", f"recognition.path={file}"])
         if is_same:
-            assert not find_result(job.settings)
+            assert open_run(job.settings).state == "new"
         else:
             with pytest.raises(ValueError, match="path = classifier "):
-                find_result(job.settings)
+                open_run(job.settings)
 
 
 def test_runs_that_are_logged_and_compared_otherwise_are_one_group(tmp_path: Path) -> None:
@@ -179,7 +178,7 @@ def test_runs_that_are_logged_and_compared_otherwise_are_one_group(tmp_path: Pat
     given += ["keep_checkpoints=4", "picture_episodes=0", "baselines=[random]", "live=true"]
     given.append("logger=wandb")
     for name, words in {"a": [], "b": given, "c": ["eval_frames=8"]}.items():
-        make_folder(TRAINING.read([f"folder={tmp_path}", f"name={name}", *words]))
+        open_run(TRAINING.read([f"folder={tmp_path}", f"name={name}", *words])).enter()
     # which evaluation is the best one depends on when they are made
     assert [len(group.runs) for group in group_runs(read_runs(tmp_path))] == [2, 1]
 
@@ -225,7 +224,7 @@ def test_a_sweep_that_is_ended_saves_its_runs(
     assert "Traceback" not in done.err
     (run,) = read_runs(tmp_path)  # the other one never began
     assert (run.status, run.frames) == ("stopped", 8)
-    assert read_metadata(run.path, which="last")[1]["frames"] == 8
+    assert Checkpoint.find(run.path, which="last").frames == 8
     assert not (run.path / "failure.txt").exists()
     said = (run.path / "output.log").read_text(encoding="utf-8")
     command = show_command("train", "resume=")

@@ -14,8 +14,8 @@ from fishrl.envs import Oracle
 from fishrl.envs.scene import Frame
 from fishrl.programs import view
 from fishrl.programs.train import set_up
-from fishrl.programs.train_settings import TRAINING
-from fishrl.training import complete
+from fishrl.programs.train_settings import TRAINING, TrainConfig
+from fishrl.training import complete, open_run
 from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Drawing, Server
 from fishrl.viewer.process import HOST
@@ -26,6 +26,10 @@ from tests.training.conftest import read_rows
 pytestmark = pytest.mark.usefixtures("kinematic")
 
 GAIT = ["preset=gait_small", *OVERRIDES, "flows.compile=false"]
+
+
+def run(config: TrainConfig) -> None:
+    complete(set_up(open_run(config), config))
 
 
 def list_entities(path: Path) -> str:
@@ -59,7 +63,7 @@ def test_a_flow_is_filmed(ending: str, tmp_path: Path) -> None:
 
 def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(tmp_path: Path) -> None:
     few = ["recognition=oracle", "baselines=[]", "picture_episodes=2", "total_frames=16"]
-    complete(set_up(TRAINING.read([*SETTINGS, *few, f"folder={tmp_path}", "name=run"])))
+    run(TRAINING.read([*SETTINGS, *few, f"folder={tmp_path}", "name=run"]))
     assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "episode.rrd")
     settings = view.main.read(
         [f"checkpoint={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"]
@@ -137,7 +141,7 @@ def test_a_training_with_a_live_view_learns_the_same(
     settings = [*SETTINGS, "recognition=oracle", f"folder={tmp_path}", "picture_episodes=0"]
     settings += ["total_frames=32", "warmup_frames=8", "eval_frames=16", "eval_episodes=2"]
     settings += ["final_episodes=1", "baselines=[]", "task.time_limit=4"]
-    complete(set_up(TRAINING.read([*settings, "name=alone"])))
+    run(TRAINING.read([*settings, "name=alone"]))
     drawn: list[tuple[int, float]] = []
     draw = Drawing.draw
 
@@ -148,7 +152,7 @@ def test_a_training_with_a_live_view_learns_the_same(
 
     monkeypatch.setattr(Drawing, "draw", note)
     seen = ["name=seen", "live=true", "shown_flows=[1,2]", "port=29620", "live_share=1.0"]
-    complete(set_up(TRAINING.read([*settings, *seen])))
+    run(TRAINING.read([*settings, *seen]))
     assert read_rows(tmp_path / "seen") == read_rows(tmp_path / "alone")
     assert {flow for flow, _ in drawn} == {1, 2}
     for flow in (1, 2):

@@ -14,8 +14,7 @@ import pytest
 import torch
 
 from fishrl.envs import Flows
-from fishrl.training import Callback, Plan, begin, reopen
-from fishrl.training.loop import Training
+from fishrl.training import Callback, Plan, Training, open_run
 from tests.training.toy_fish import ToyPredation, make_any_env
 
 DEFAULTS: dict[str, Any] = {
@@ -45,7 +44,7 @@ def make_toy_plan(folder: Path, *, task: dict[str, Any] | None = None, **setting
 def toy_flows() -> Iterator[None]:
     """Make the flows of the point fish where those of other tasks are made."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("policies", "resolve"):
+        for module in ("policies", "opening"):
             patch.setattr(f"fishrl.training.{module}.make_env", make_any_env)
         yield
 
@@ -59,13 +58,13 @@ class Toy:
 
     def begin(self, *, callbacks: Sequence[Callback] = (), **settings: Any) -> Training:
         plan = make_toy_plan(self.folder, **settings)
-        self.trainings.append(begin(plan, callbacks=callbacks))
+        self.trainings.append(Training(open_run(plan), callbacks=callbacks))
         return self.trainings[-1]
 
     def reopen(self, name: str, **changes: Any) -> Training:
         for training in self.trainings:
             training._lock.close()
-        self.trainings.append(reopen(self.folder / name, **changes))
+        self.trainings.append(Training(open_run(self.folder / name, **changes)))
         return self.trainings[-1]
 
     def rows(self, name: str) -> list[dict[str, str]]:

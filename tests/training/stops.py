@@ -37,10 +37,10 @@ def run_and_stop(training: Training, env: Any, *, step: int, evaluating: bool = 
 KILLED_RUN = """
 import os, signal, sys
 from pathlib import Path
-from fishrl.training import begin, complete, resolve
+from fishrl.training import Training, complete, open_run, opening
 from tests.training.conftest import QUICK, make_toy_plan
 from tests.training.toy_fish import ToyFishEnv, make_toy_env
-resolve.make_env = make_toy_env
+opening.make_env = make_toy_env
 step, num_steps = ToyFishEnv._step, [0]
 def step_or_end(self, td):
     num_steps[0] += self.starts is None  # not of evaluations
@@ -48,7 +48,7 @@ def step_or_end(self, td):
         os.kill(os.getpid(), signal.SIGKILL)
     return step(self, td)
 ToyFishEnv._step = step_or_end
-complete(begin(make_toy_plan(Path(sys.argv[1]), name="run", **QUICK)))
+complete(Training(open_run(make_toy_plan(Path(sys.argv[1]), name="run", **QUICK))))
 """
 
 

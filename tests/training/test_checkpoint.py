@@ -14,12 +14,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.training.checkpoint import (
-    CheckpointNotWritten,
-    load_checkpoint,
-    read_metadata,
-    save_checkpoint,
-)
+from fishrl.training.checkpoint import Checkpoint, CheckpointNotWritten, save_checkpoint
 from fishrl.training.loop import Training
 from fishrl.training.policy_spec import PolicySpec
 from tests.training.conftest import QUICK, Toy, limited_disk, read_rows, renew_checksums
@@ -36,7 +31,7 @@ def save(path: Path, *, value: float = 1.0) -> torch.nn.Linear:
 
 def load(path: Path) -> torch.nn.Linear:
     net = torch.nn.Linear(3, 2)
-    load_checkpoint(path, {"net": net}, spec=SPEC)
+    Checkpoint.find(path).load({"net": net}, spec=SPEC)
     return net
 
 
@@ -45,7 +40,7 @@ def test_a_newer_checkpoint_replaces_the_old_one_and_leaves_no_debris(tmp_path: 
     save(tmp_path / "last", value=1.0)
     net = save(tmp_path / "last", value=2.0)
     assert torch.equal(load(tmp_path / "last").weight, net.weight)
-    metadata = read_metadata(tmp_path / "last")[1]
+    metadata = Checkpoint.find(tmp_path / "last").manifest.metadata.model_dump()
     assert (metadata["task"], metadata["preset"], metadata["frames"]) == ("Predation", "small", 7)
     assert [path.name for path in tmp_path.iterdir()] == ["last"]
 
@@ -54,7 +49,7 @@ def test_a_newer_checkpoint_replaces_the_old_one_and_leaves_no_debris(tmp_path: 
 def test_a_kill_between_the_renames_loses_nothing(tmp_path: Path, left: str) -> None:
     save(tmp_path / "last")
     (tmp_path / "last").rename(tmp_path / left)
-    assert read_metadata(tmp_path / "last")[1]["frames"] == 7
+    assert Checkpoint.find(tmp_path / "last").frames == 7
     save(tmp_path / "last", value=2.0)
     assert (load(tmp_path / "last").weight == 2.0).all()
 
@@ -63,12 +58,12 @@ def test_a_run_folder_gives_its_best_checkpoint_and_before_there_is_one_the_last
     tmp_path: Path,
 ) -> None:
     save(tmp_path / "checkpoints" / "last")
-    assert read_metadata(tmp_path)[0].name == "last"
+    assert Checkpoint.find(tmp_path).path.name == "last"
     save(tmp_path / "checkpoints" / "best")
-    assert read_metadata(tmp_path)[0].name == "best"
-    assert read_metadata(tmp_path, which="last")[0].name == "last"
+    assert Checkpoint.find(tmp_path).path.name == "best"
+    assert Checkpoint.find(tmp_path, which="last").path.name == "last"
     (tmp_path / "checkpoints" / "best").rename(tmp_path / "checkpoints" / ".best.new")
-    assert read_metadata(tmp_path)[0].name == ".best.new"  # killed between the renames
+    assert Checkpoint.find(tmp_path).path.name == ".best.new"  # killed between the renames
 
 
 def test_saving_leaves_other_hidden_folders_alone(tmp_path: Path) -> None:
@@ -85,7 +80,7 @@ def test_a_checkpoint_of_another_stack_is_refused(tmp_path: Path) -> None:
     save(tmp_path / "best")
     other = replace(SPEC, num_stacked=4)  # of as many numbers
     with pytest.raises(ValueError, match="trained with num_stacked = 1, the current one is 4"):
-        load_checkpoint(tmp_path / "best", {"net": torch.nn.Linear(3, 2)}, spec=other)
+        Checkpoint.find(tmp_path / "best").load({"net": torch.nn.Linear(3, 2)}, spec=other)
 
 
 @pytest.mark.parametrize(
@@ -238,7 +233,7 @@ def test_run_survives_a_full_disk(
             return
         with limited_disk((run / "metrics.csv").stat().st_size):
             conclude(self, metrics)
-        assert read_metadata(run, which="last")[1]["frames"] == 80
+        assert Checkpoint.find(run, which="last").frames == 80
 
     monkeypatch.setattr(Training, "_conclude", conclude_on_a_full_disk)
     with caplog.at_level(logging.ERROR, logger="fishrl"):
@@ -247,7 +242,7 @@ def test_run_survives_a_full_disk(
     assert "the one of frame 80 is still there" in caplog.text
     assert "metrics.csv: 1 rows cannot be written (File too large)" in caplog.text
     assert toy.rows("run") == read_rows(whole.folder.path)
-    assert read_metadata(run, which="last")[1]["frames"] == 240
+    assert Checkpoint.find(run, which="last").frames == 240
     monkeypatch.undo()
     longer = toy.reopen("run", total_frames=280)
     with limited_disk(2000), pytest.raises(CheckpointNotWritten, match="the one of frame 240 is"):

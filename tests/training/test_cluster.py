@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from fishrl.envs import Flows, PredationPair, make_env
-from fishrl.training import begin, complete
+from fishrl.training import complete, open_run
 from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.cluster import ClusterCollector
 from fishrl.training.loop import Training
@@ -22,7 +22,7 @@ from tests.training.conftest import Toy, make_toy_plan, read_rows
 def test_invalid_numbers_of_collectors_are_refused(
     toy: Toy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fishrl.training.resolve.find_spec", lambda name: None)
+    monkeypatch.setattr("fishrl.training.opening.find_spec", lambda name: None)
     for wrong, said in (
         ({"ray_collectors": 3}, "flows.num_envs = 8: must be a multiple of"),
         ({"ray_collectors": -1}, "ray_collectors = -1: must be greater than or equal to 0"),
@@ -119,8 +119,8 @@ def test_collectors_use_the_newest_weights_and_count_the_frames_of_flows(
     few = {"ray_collectors": 2, "flows": Flows(num_envs=4, compile=False), "warmup_frames": 4}
     plan = make_toy_plan(toy.folder, algorithm=DQN(epsilon_end=0.0, epsilon_frames=16), **few)
     pair = PredationPair(**SMALL, control_interval_T=0.25, checks_per_action=6)
-    monkeypatch.setattr("fishrl.training.resolve.make_env", make_gliding_env)
-    training = begin(replace(plan, task=pair))
+    monkeypatch.setattr("fishrl.training.opening.make_env", make_gliding_env)
+    training = Training(open_run(replace(plan, task=pair)))
     batches = iter(training.collector)
     first = next(batches)
     assert first.batch_size == torch.Size([2, 2, 1])

@@ -19,7 +19,7 @@ from torchrl.envs.utils import check_env_specs
 
 from fishrl.envs import Flows, Predation
 from fishrl.envs.episodes import Episodes
-from fishrl.training import Algorithm, Callback, DiscreteSAC, Interrupted, begin
+from fishrl.training import Algorithm, Callback, DiscreteSAC, Interrupted, open_run
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
@@ -115,7 +115,7 @@ def test_diverging_flows_do_not_stop_a_run(
         "eval_frames": 60,
     }
     plan = make_toy_plan(toy.folder, algorithm=algorithm, **few)
-    training = begin(replace(plan, task=Predation(**SMALL)))
+    training = Training(open_run(replace(plan, task=Predation(**SMALL))))
     summary = training.run()
     assert summary["train_diverged"] > 1
     assert summary["frames"] == 120

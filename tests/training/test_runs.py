@@ -17,9 +17,9 @@ from fishrl.training import (
     DiscreteSAC,
     LearningSettings,
     RunSettings,
-    begin,
     complete,
     evaluate,
+    open_run,
     resume,
     train,
 )
@@ -29,8 +29,7 @@ from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
-from fishrl.training.run_folder import RunFolder, read_config, write_yaml
-from fishrl.training.runs import adopt_plan, read_result
+from fishrl.training.run_folder import read_config, write_yaml
 from tests.envs.conftest import SMALL
 from tests.envs.test_real_flow import TINY
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, read_rows
@@ -66,7 +65,7 @@ def test_run_in_a_real_flow_stopped_amid_episodes_continues_exactly(tmp_path: Pa
 
     def start(name: str) -> Training:
         plan = make_toy_plan(tmp_path, name=name, **QUICK | few | {"eval_episodes": 1})
-        return begin(replace(plan, task=task))
+        return Training(open_run(replace(plan, task=task)))
 
     whole = start("whole")
     whole.run()
@@ -196,7 +195,7 @@ def test_resume_leaves_a_finished_run_unchanged_unless_extended(toy: Toy) -> Non
         assert resume(run, **harmless)["frames"] == 16
     assert before == {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
     for more in ({"total_frames": 48}, {"final_episodes": 4}, {"baselines": ("random",)}):
-        assert read_result(RunFolder(run), plan.change(**more)) is None
+        assert open_run(plan.change(**more)).state == "continue"
     assert resume(run, final_episodes=4)["episodes"] == 4
 
 
@@ -229,24 +228,25 @@ def test_training_a_named_run_again_continues_it_or_returns_its_summary(toy: Toy
     assert run(240)["frames"] == 240 and "warm-up" not in phases  # continued, not begun
     assert [path.name for path in toy.folder.iterdir()] == ["run"]
     other = toy.begin(name="other", **QUICK)
-    moved = make_toy_plan(toy.folder / "elsewhere", logger=Spare(), **QUICK)
-    assert adopt_plan(other.folder, moved) == other.plan  # it keeps its folder, name and logger
+    again = make_toy_plan(toy.folder, name="other", logger=Spare(), **QUICK)
+    assert open_run(again).plan == other.plan  # it keeps its logger
 
 
 def test_a_run_without_its_checkpoint_is_not_resumed(toy: Toy) -> None:
     training = toy.begin(name="run", total_frames=16, **QUICK)
     training.run()
     (toy.folder / "run" / "checkpoints").rename(toy.folder / "elsewhere")
+    (toy.folder / "run" / "summary.json").unlink()
     with pytest.raises(ValueError, match="there is none"):
         toy.reopen("run")
-    assert "there is none" in (toy.folder / "run" / "failure.txt").read_text()
 
 
 def test_a_damaged_checkpoint_is_noticed_before_anything_compiles(
     toy: Toy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     toy.begin(name="run", total_frames=16, **QUICK).run()
-    monkeypatch.setattr("fishrl.training.runs.Training", lambda *_, **__: pytest.fail("set up"))
+    (toy.folder / "run" / "summary.json").unlink()
+    monkeypatch.setattr(Training, "_set_up", lambda _: pytest.fail("set up"))
     states = sorted((toy.folder / "run" / "checkpoints" / "last").rglob("state.pt"))
     assert len(states) > 3
     for state in states:
@@ -263,6 +263,7 @@ def test_older_checkpoint_replaces_a_corrupt_one(toy: Toy) -> None:
     names = sorted(path.name for path in folder.iterdir())
     assert names == ["best", "last", "last-000000080", "last-000000160"]
     (folder / "last" / "manifest.json").write_text("{")
+    (toy.folder / "run" / "summary.json").unlink()
     with pytest.raises(ValueError, match="or delete it, and last-000000160 takes its place"):
         toy.reopen("run")
     (folder / "last").rename(toy.folder / "broken")

@@ -12,7 +12,7 @@ import torch
 from fishrl.envs import Flows, PredationPair, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.modules import PursuitPolicy
-from fishrl.training import Algorithm, DiscreteSAC, Plan, begin, evaluate, reopen
+from fishrl.training import Algorithm, DiscreteSAC, Plan, Training, evaluate, open_run
 from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
@@ -38,7 +38,8 @@ def make_plan(folder: Path, *, algorithm: Algorithm, **changes: Any) -> Plan:
 
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), PPO(rollout_length=4, num_epochs=2)])
 def test_buffer_holds_the_transitions_of_each_fish(tmp_path: Path, algorithm: Algorithm) -> None:
-    training, is_ppo = begin(make_plan(tmp_path, algorithm=algorithm)), isinstance(algorithm, PPO)
+    training = Training(open_run(make_plan(tmp_path, algorithm=algorithm)))
+    is_ppo = isinstance(algorithm, PPO)
     summary = training.run()
     num_flows = 12 if is_ppo else 24
     assert len(training.learner.buffer) == 2 * num_flows
@@ -59,7 +60,7 @@ def test_buffer_holds_the_transitions_of_each_fish(tmp_path: Path, algorithm: Al
 
 def test_epsilon_decays_with_env_frames_independent_of_the_number_of_fish(tmp_path: Path) -> None:
     algorithm = DQN(epsilon_start=1.0, epsilon_end=0.1, epsilon_frames=36)
-    training = begin(make_plan(tmp_path, algorithm=algorithm))
+    training = Training(open_run(make_plan(tmp_path, algorithm=algorithm)))
     chance: Any = training.learner.explorer[-1]  # type: ignore[index]
     before = float(chance.eps)
     training.run()
@@ -69,12 +70,14 @@ def test_epsilon_decays_with_env_frames_independent_of_the_number_of_fish(tmp_pa
 
 def test_run_with_several_fish_resumes_exactly(tmp_path: Path) -> None:
     algorithm = PPO(rollout_length=4, num_epochs=1)
-    whole = begin(make_plan(tmp_path, algorithm=algorithm))
+    whole = Training(open_run(make_plan(tmp_path, algorithm=algorithm)))
     whole.run()
-    begun = begin(make_plan(tmp_path, algorithm=algorithm, name="parts", total_frames=18))
+    begun = Training(
+        open_run(make_plan(tmp_path, algorithm=algorithm, name="parts", total_frames=18))
+    )
     begun.run()
     begun.close()
-    resumed = reopen(tmp_path / "parts", total_frames=24)
+    resumed = Training(open_run(tmp_path / "parts", total_frames=24))
     resumed.run()
     assert_equal_weights(resumed, whole)
     assert read_rows(tmp_path / "parts")[-1] == read_rows(tmp_path / "pair")[-1]

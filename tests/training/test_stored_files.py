@@ -17,7 +17,7 @@ from fishrl.programs.summarize import add_curve_mean, tabulate_groups, tabulate_
 from fishrl.programs.sweeps.groups import group_runs
 from fishrl.programs.sweeps.runs import read_runs
 from fishrl.programs.train_settings import TRAINING
-from fishrl.training import Plan, load_policy, reopen
+from fishrl.training import Plan, load_policy, open_run
 from fishrl.training.export import export_policy
 from fishrl.training.logger import CsvLogger, read_rows
 from fishrl.training.loop import Training
@@ -37,7 +37,7 @@ def summarize(run: Path) -> None:
 
 def resume(run: Path) -> None:
     shutil.copytree(run, run.parents[1] / "copy", dirs_exist_ok=True)
-    reopen(run.parents[1] / "copy").close()
+    Training(open_run(run.parents[1] / "copy")).close()
 
 
 def continue_rows(run: Path) -> None:
@@ -126,4 +126,4 @@ def test_a_run_whose_settings_changed_since_its_checkpoint_is_not_resumed(
     other = {"seed": 5, "gamma": 0.5, "hidden": [8], "task": config["task"] | {"time_limit": 9}}
     (run / "config.yaml").write_text(yaml.safe_dump(config | {key: other[key]}))
     with pytest.raises(ValueError, match=rf"^{key}.*: is .* in .*checkpoints/last; take"):
-        reopen(run)
+        open_run(run)

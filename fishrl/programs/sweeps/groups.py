@@ -97,7 +97,7 @@ def _settings_of(run: Run) -> dict[str, str]:
     flat = {
         key: str(value).rpartition(".")[2] if key.endswith(TARGET) else str(value)
         for key, value in flatten(run.config).items()
-        if key != "seed" and find_role(TrainConfig, key) is Role.RESULT
+        if key != "seed" and find_role(TrainConfig, key) in (Role.RESULT, Role.CONTINUATION)
     }
     if "recognition.path" in flat:
         flat["recognition.path"] = name_content(Path(flat["recognition.path"]))

@@ -34,9 +34,9 @@ from fishrl.programs.sweeps.ending import ending_runs, leave_ending_to_sweep
 from fishrl.programs.sweeps.runs import Run, advise, count_frames, read_run
 from fishrl.programs.train_settings import TRAINING, TrainConfig
 from fishrl.training.interruption import SIGNALS
+from fishrl.training.opening import open_run
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder
-from fishrl.training.runs import find_result, find_run
 
 logger = logging.getLogger(__name__)
 
@@ -87,7 +87,7 @@ def sweep(arguments: Sequence[str]) -> None:
         arguments = [*arguments, f"folder=runs/sweep-{time.strftime('%Y%m%d-%H%M%S')}"]
         launch, jobs = _plan(arguments)
     for job in jobs:
-        find_result(job.settings)  # refuses settings that its run does not have
+        open_run(job.settings)  # refuses settings that its run does not have
     folder = make_folder(Path(jobs[0].settings.folder).expanduser())
     write_whole(folder / "command.txt", f"{show_command('train', *arguments)}\n")
     is_cut_off = False
@@ -110,7 +110,7 @@ def plan_jobs(arguments: Sequence[str]) -> list[Job]:
 
 def find_runs(arguments: Sequence[str]) -> list[Path]:
     """Return the folders of those runs of a sweep that have begun."""
-    return sorted(job.path for job in plan_jobs(arguments) if find_run(job.settings))
+    return sorted(job.path for job in plan_jobs(arguments) if RunFolder(job.path).config.is_file())
 
 
 def _plan(arguments: Sequence[str]) -> tuple[Launch, list[Job]]:
@@ -162,7 +162,7 @@ def run_job(job: Job) -> Run:
     """
     path = job.path
     run = read_run(path)
-    if run.status == "running" or find_result(job.settings):
+    if run.status == "running" or open_run(job.settings).summary is not None:
         return run
     make_folder(path)
     start = "import sys; del sys.argv[1]; from fishrl.__main__ import main; main()"

@@ -78,7 +78,7 @@ def test_estimated_memory_is_that_of_a_learner(toy: Toy, algorithm: Algorithm, s
     gradients = [weight.grad for weight in weights if weight.grad is not None]
     moments = [moment for state in learner.optimiser.state.values() for moment in state.values()]
     needed = sum(tensor.nbytes for tensor in (*weights, *targets, *gradients, *moments))
-    assert algorithm.count_bytes(training.resolved.spec) == pytest.approx(needed, rel=0.2)
+    assert algorithm.count_bytes(training.opened.spec) == pytest.approx(needed, rel=0.2)
 
 
 def test_networks_of_30_000_units_do_not_fit_into_24_gib() -> None:

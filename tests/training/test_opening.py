@@ -10,15 +10,14 @@ import pytest
 from fishrl.envs import Flows, KarmanGait, Oracle, Predation, make_env
 from fishrl.envs.streams import Stream
 from fishrl.physics import InPlaceSolver
-from fishrl.training import Plan
-from fishrl.training.resolve import resolve
+from fishrl.training import Plan, open_run
 from tests.envs.conftest import SMALL
 from tests.training.conftest import Toy
 
 
 def test_a_baseline_with_wakes_is_checked_without_developing_them(tmp_path: Path) -> None:
     task = KarmanGait(stream=Stream(wake_folder=str(tmp_path / "wakes")))
-    resolved = resolve(Plan(task=task, baselines=("shedding",), recognition=Oracle()))
+    resolved = open_run(Plan(task=task, baselines=("shedding",), recognition=Oracle()))
     assert resolved.baselines == ("shedding",)
     assert resolved.task == task.read_flow_labels() and resolved.task != task
     assert not list(tmp_path.iterdir())
@@ -56,7 +55,7 @@ def test_a_run_with_invalid_settings_leaves_no_folder(
 def test_labels_lengthen_the_observation_of_the_policy() -> None:
     task = KarmanGait(observes=("place", "flow_label"))
     without, with_labels = (
-        resolve(Plan(task=task, recognition=choice)) for choice in (None, Oracle())
+        open_run(Plan(task=task, recognition=choice)) for choice in (None, Oracle())
     )
     num_flows = len(task.flow_labels)
     assert with_labels.spec.num_observed == without.spec.num_observed + num_flows

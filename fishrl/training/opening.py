@@ -1,0 +1,175 @@
+"""Open a run: read its folder, compare settings, decide whether it begins, continues or ended."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
+
+from torchrl.envs import TransformedEnv
+
+from fishrl.envs import AbstractTask, make_env
+from fishrl.extras import show_install
+from fishrl.memory import check_memory
+from fishrl.physics.fast.checks import check_device
+from fishrl.settings import Role, list_fields
+from fishrl.training.baselines import choose_baselines
+from fishrl.training.checkpoint import Checkpoint
+from fishrl.training.plan import Plan
+from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.run_folder import RunFolder, read_config, read_summary, write_yaml
+
+#: Settings that are those of the run's folder, whatever is given when it continues.
+_OWN = ("recognition", "logger", "folder", "name")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Opened:
+    """A run whose folder has been read; ``Training(opened)`` starts from it.
+
+    Opening it changes nothing: the folder of a new run is made by ``enter``.
+    """
+
+    plan: Plan  #: its settings, with those that follow from the algorithm's own
+    folder: RunFolder  #: its folder; that of a new run may get another name
+    stored: dict[str, Any] = field(default_factory=dict)  #: ``config.yaml`` as read; {} if new
+    checkpoint: Checkpoint | None = None  #: from which it continues
+    summary: dict[str, Any] | None = None  #: its result if it is finished
+
+    @property
+    def state(self) -> Literal["new", "continue", "finished"]:
+        """Whether it begins, continues from its checkpoint or is finished."""
+        if self.summary is not None:
+            return "finished"
+        return "new" if self.checkpoint is None else "continue"
+
+    @cached_property
+    def task(self) -> AbstractTask:
+        """Task of the plan, which reads the flow labels if there are any."""
+        recognition = self.plan.recognition
+        return self.plan.task if recognition is None else recognition.check(self.plan.task)
+
+    @cached_property
+    def spec(self) -> PolicySpec:
+        """Sizes of the policy."""
+        has_labels = self.plan.recognition is not None
+        return PolicySpec.for_task(self.task, hidden=self.plan.hidden, has_labels=has_labels)
+
+    @cached_property
+    def baselines(self) -> tuple[str, ...]:
+        """Names of the policies to compare with."""
+        return choose_baselines(self.plan.baselines, self.task)
+
+    @property
+    def success(self) -> str:
+        """Word for a successful episode: the task's ``success`` or ``survived``."""
+        return self.task.success or "survived"
+
+    @property
+    def make_flows(self) -> Callable[..., TransformedEnv]:
+        """Make its env, given ``flows`` and ``seed``."""
+        return partial(
+            make_env,
+            task=self.plan.task,
+            frames_per_action=self.task.checks_per_action,  # callbacks may read each
+            recognition=self.plan.recognition,
+        )
+
+    def check(self) -> None:
+        """Raise ValueError unless the settings fit together and this machine can run them.
+
+        It comes before all that is slow, and before a folder is made.
+        """
+        plan = self.plan
+        if self.summary is not None:
+            raise ValueError(f"run folder {self.folder.path}: is finished; raise total_frames")
+        check_device(plan.flows.device)
+        check_device(plan.policy_device)
+        if plan.ray_collectors:
+            _check_cluster(plan)
+        transition = 2 * (self.spec.num_inputs + self.spec.num_actions)
+        needed: dict[str, dict[str, float]] = {plan.flows.device: {}, plan.policy_device: {}}
+        needed[plan.flows.device]["flows"] = self.task.flow_config().num_bytes * plan.flows.num_envs
+        needed[plan.policy_device] |= {
+            "networks": plan.algorithm.count_bytes(self.spec),
+            "buffer": 4 * transition * plan.buffer_size * self.task.num_fish,
+        }
+        for device, parts in needed.items():
+            check_memory(device=device, **parts)
+        _ = self.baselines
+        if self.checkpoint is not None:
+            _ = self.checkpoint.files
+
+    def enter(self) -> "Opened":
+        """Return the run with its folder, which is made for a new one, with its classifier."""
+        if self.stored:
+            return self
+        plan, is_named = self.plan, self.plan.name is not None
+        folder = RunFolder.create(parent=plan.folder, name=plan.folder_name, reuse=is_named)
+        if plan.recognition is not None:
+            plan = replace(plan, recognition=plan.recognition.keep(folder.path))
+        config = plan.to_config()
+        write_yaml(folder.config, config)
+        return replace(self, plan=plan, folder=folder, stored=config)
+
+
+def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
+    """Open a run: the one of these settings, or the one in a folder.
+
+    If the folder of the settings holds a run, it keeps its folder, name, logger and classifier.
+
+    Args:
+        run: settings, or the folder of a run with its own settings.
+        **changes: new values of ``RunSettings``, such as ``total_frames=8000``.
+
+    Raises:
+        ValueError: naming each setting that fixes the result and differs from the run's; if there
+            is no run in the folder, its files do not load, or a change is not possible.
+    """
+    if isinstance(run, Plan):
+        run = replace(run, **run.algorithm.adapt(run)).change(**changes)
+        folder = RunFolder(run.path or Path(run.folder).expanduser() / run.folder_name)
+        if run.path is None or not folder.config.is_file():
+            return Opened(plan=run, folder=folder)
+        config = read_config(folder.config)
+        stored = type(run).from_config(config)
+        _refuse_other(run, stored, folder.path)
+        plan = replace(run, **{name: getattr(stored, name) for name in _OWN})
+    else:
+        folder = RunFolder.of_existing(run)
+        config = read_config(folder.config)
+        stored = Plan.from_config(config)
+        plan = stored.change(**changes)
+    opened = Opened(plan=plan, folder=folder, stored=config)
+    if folder.summary.is_file() and not folder.failure.is_file():
+        summary = read_summary(folder.summary)
+        late = [entry.name for entry in list_fields(type(plan)) if entry.role is Role.EVALUATION]
+        is_same = all(getattr(plan, name) == getattr(stored, name) for name in late)
+        if is_same and plan.total_frames <= summary.get("frames", 0):
+            return replace(opened, summary=summary)
+    if not folder.checked().has_begun():
+        return opened
+    checkpoint = Checkpoint.find(folder.path, which="last")
+    _refuse_other(plan, Plan.from_config(checkpoint.config), checkpoint.path)  # it has a checksum
+    return replace(opened, checkpoint=checkpoint)
+
+
+def _refuse_other(plan: Plan, stored: Plan, path: Path) -> None:
+    """Raise ValueError naming each setting that fixes the result and differs from those stored."""
+    different = plan.list_differences(stored)
+    if different:
+        lines = [f"{key} = {new}: is {old} in {path}" for key, (new, old) in different.items()]
+        raise ValueError("\n".join(lines) + "; take another folder or name, or change it back")
+
+
+def _check_cluster(plan: Plan) -> None:
+    device = plan.flows.device
+    if device not in ("cpu", "cuda") or plan.learner_device is not None:
+        raise ValueError(
+            f"flows.device = {device}, learner_device = {plan.learner_device}: with ray_collectors "
+            "flows.device must be cpu, or cuda, where each collector has a GPU of its own, and "
+            "learner_device null"
+        )
+    if find_spec("ray") is None:
+        raise ValueError(f"ray_collectors: needs Ray: {show_install('cluster')}")
