@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from fishrl.envs import KarmanGait
-from fishrl.envs.changes import StreamSteps
+from fishrl.envs.changes import StreamSwitches
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank, WakeRecipe
@@ -62,10 +62,10 @@ def test_wakes_match_disc_and_speed_and_each_disc_has_one_file(
 
 @pytest.mark.usefixtures("kinematic")
 def test_flow_index_is_the_nearest_speed_behind_the_same_disc() -> None:
-    changes = StreamSteps(times_T=(0.4,), speeds_bl=(1.4,), ramp_T=0.4)
+    changes = StreamSwitches(interval_T=0.5, ramp_T=0.4, speeds_bl=(1.0, 1.4))
     task = make_task(replace(VARIED, changes=changes), control_interval_T=0.5, checks_per_action=13)
     starts = task.sample_starts(2, torch.Generator().manual_seed(0))
-    starts["flow_index"] = torch.tensor([0, 2])
+    starts["flow_index"], starts["stream_speeds"][:, 0] = torch.tensor([0, 2]), 1.4
     env = make_flows(task, 2, starts=starts)
     env.reset()
     for _ in range(2):
