@@ -14,7 +14,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from fishrl.physics import Fish, FlowState, Free, Scales, simulate
+from fishrl.physics import Fish, FlowState, Free, ImmersedBoundary, Scales, simulate
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.collision import compute_macroscopic
@@ -66,7 +66,9 @@ class Recording:
         scales, length, num = self.scales, self.body_length, len(factors)
         viscosity, frequency, amplitude = factors.unbind(1)
         fish = Fish(body_length=length, motion=Free())  # the immersed boundary is smooth
-        config = make_swimmer_config(scales, length_bl=4, height_bl=3, bodies=(fish,))
+        config = make_swimmer_config(
+            scales, length_bl=4, height_bl=3, bodies=(fish,), skin=ImmersedBoundary()
+        )
         params = make_params([config] * num)._replace(tau=3.0 * scales.nu * viscosity + 0.5)
         one = torch.ones_like(viscosity)
         place = torch.stack((2.0 * length * one, 1.5 * length * one), 1)

@@ -72,7 +72,7 @@ def concatenate(parts: Sequence[Histories]) -> Histories:
 
 #: Settings of the task that policies must share to be compared.
 SHARED = (
-    *("body_length", "reynolds", "coupling", "domain_bl", "stream", "safe_area"),
+    *("body_length", "reynolds", "skin", "domain_bl", "stream", "safe_area"),
     *("control_interval_T", "time_limit"),
 )
 

@@ -23,6 +23,7 @@ from fishrl.physics import (
     Fish,
     FlowConfig,
     Free,
+    ImmersedBoundary,
     InPlaceSolver,
     NoSlip,
     Section,
@@ -71,6 +72,7 @@ def escape(
         height=side,
         tau=3.0 * body_length**2 / (REYNOLDS * period) + 0.5,
         bodies=(larva,),
+        skin=ImmersedBoundary(),
         boundaries=Boundaries(left=wall, right=wall, bottom=wall, top=wall),
     )
     solver = InPlaceSolver(config=config, frequency=1.0 / period, num_workers=0)

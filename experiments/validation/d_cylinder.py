@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from experiments.validation import wake
 from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from fishrl.physics import DCylinder, NoSlip
-from fishrl.physics.immersed_boundary import DirectSolve
+from fishrl.physics.skins import DirectSolve, ImmersedBoundary
 
 WIDTH_D, HEIGHT_D, FACE_D = 25.0, 12.5, 6.25  # 1000 x 500 nodes, face at x = 250, with D = 40
 WINDOW_D = (4.0, 22.0, 2.0, 10.5)  # of the picture: left, right, low, high
@@ -85,7 +85,7 @@ def run_half_disc(
         speed=speed,
         outflow=wake.PINNED if is_pinned else wake.OPEN,
         sides=SIDES[sides],
-        solve=DirectSolve(),
+        skin=ImmersedBoundary(force_solve=DirectSolve()),
     )
     return wake.measure_wake(
         solver,

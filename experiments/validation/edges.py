@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from experiments.validation import wake
 from experiments.validation.case import Case, Check, Job, Result, Runs
-from fishrl.physics import DCylinder, diagnostics
+from fishrl.physics import DCylinder, ImmersedBoundary, diagnostics
 
 DIAMETER, SPEED, REYNOLDS = 16, 0.06, 200.0
 WIDTH_D, HEIGHT_D, FACE_D = 25.0, 12.5, 6.25
@@ -47,7 +47,7 @@ def shed_between(*, edges: str, far: str = "") -> Result:
         tau=3.0 * SPEED * d / REYNOLDS + 0.5,
         speed=SPEED,
         sides=wake.SLIDING if edges == NEW else wake.STREAM,
-        solve=wake.ITERATIVE,
+        skin=ImmersedBoundary(),
     )
     window = (ahead, ahead + WIDTH_D, 0.5 * wider, 0.5 * wider + HEIGHT_D)
     result = wake.measure_wake(

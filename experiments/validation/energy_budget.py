@@ -25,7 +25,8 @@ from fishrl.physics import Commanded, Fish, FlowConfig, Free, InPlaceSolver, Sca
 from fishrl.physics.bodies.shear import ShearParams
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.flow import Coupling
+from fishrl.physics.skins import Skin
+from fishrl.settings import build
 
 FISH: dict[str, dict[str, float]] = {
     "Re = 500": {"reynolds": 500.0},
@@ -36,7 +37,7 @@ FISH: dict[str, dict[str, float]] = {
 LENGTHS = {"Re = 500": (32, 50, 70, 100), "Re = 7142": (50, 100)}  # of others (50, 70, 100)
 WIDTH_BL, HEIGHT_BL, START_BL = 4.0, 3.0, 2.2
 NUM_BEATS, SAMPLES = 2, 100
-NAMES = {"implicit": "immersed boundary", "bounce-back": "bounce-back"}
+NAMES = {"immersed-boundary": "immersed boundary", "bounce-back": "bounce-back"}
 SHELLS = 8  # of one node around the skin; the last is the rest
 LIMIT, FINEST = 0.02, 100
 OWN = "own criterion"
@@ -44,7 +45,7 @@ MIN_ORDER = 1.7
 
 
 def balance_energy(
-    *, body_length: int, reynolds: float, coupling: str, turn: float | None = None
+    *, body_length: int, reynolds: float, skin: str, turn: float | None = None
 ) -> Result:
     """Swim from rest, and return where the work went, as shares of it.
 
@@ -54,11 +55,10 @@ def balance_energy(
     node each.
     """
     scales = Scales.from_budget(body_length=body_length, reynolds=reynolds)
-    skin = Coupling(coupling)
     motion = Free() if turn is None else Commanded()
-    fish = Fish(body_length=body_length, motion=motion, **skin.body_settings)
+    fish = Fish(body_length=body_length, motion=motion)
     config = make_swimmer_config(
-        scales, length_bl=WIDTH_BL, height_bl=HEIGHT_BL, bodies=(fish,), coupling=skin
+        scales, length_bl=WIDTH_BL, height_bl=HEIGHT_BL, bodies=(fish,), skin=build(Skin, skin)
     )
     place = START_BL * body_length, 0.5 * HEIGHT_BL * body_length
     solver = start_flow(config, place, pi, frequency=1.0 / scales.period)
@@ -69,12 +69,12 @@ def balance_energy(
         solver.advance_(every)
         shear, volume, kinetic = _measure(solver, config)
         is_outside, distance = _find_water(solver)
-        is_water = is_outside | (config.coupling is not Coupling.BOUNCE_BACK)
+        is_water = is_outside | config.skin.has_water_inside
         spent += every * float(shear[is_water].sum())
         bulk += every * float(volume[is_water].sum())
         shells.index_add_(0, distance[is_outside], every * shear[is_outside])
     body, energy = solver.body, float(kinetic[is_water].sum())
-    if config.coupling is Coupling.BOUNCE_BACK:
+    if not config.skin.has_water_inside:
         params = config.bodies[0].make_params()
         assert isinstance(params, ShearParams)
         energy += 0.5 * float((params.area[:, None] * body.velocity**2).sum())
@@ -125,10 +125,10 @@ def _find_water(solver: InPlaceSolver) -> tuple[Tensor, Tensor]:
 
 
 JOBS = [
-    Job(balance_energy, {"body_length": n, "coupling": coupling, **own}, cost=2e3 * n**3)
+    Job(balance_energy, {"body_length": n, "skin": skin, **own}, cost=2e3 * n**3)
     for fish, own in FISH.items()
     for n in LENGTHS.get(fish, (50, 70, 100))
-    for coupling in NAMES
+    for skin in NAMES
 ]
 
 
@@ -142,12 +142,12 @@ def judge(runs: Runs) -> Iterator[Check]:
         "free fish; a held heading does not turn, so its torque does no work.",
     }
     for fish, own in FISH.items():
-        for coupling, name in NAMES.items():
-            found = runs.by("body_length", coupling=coupling, **own)
+        for skin, name in NAMES.items():
+            found = runs.by("body_length", skin=skin, **own)
             at, finest = f"{name}, {fish}", found.get(FINEST)
             if not finest:
                 continue
-            is_sharp, note = coupling == "bounce-back", reasons.get(fish, "")
+            is_sharp, note = skin == "bounce-back", reasons.get(fish, "")
             if own.get("turn"):
                 muscles = finest["closure"] / (1.0 - finest["torque"])
                 note = f"Without the work of the torque the sum would be {muscles:.2f}."
@@ -176,8 +176,8 @@ def draw(figure: Figure, runs: Runs) -> None:
     """Draw the budget against the grid, and where the work is dissipated."""
     left, right = figure.subplots(1, 2)
     for fish, own in FISH.items():
-        for coupling, name in NAMES.items():
-            found = runs.by("body_length", coupling=coupling, **own)
+        for skin, name in NAMES.items():
+            found = runs.by("body_length", skin=skin, **own)
             label = f"{name}, {fish}"
             closure = [run["closure"] for run in found.values()]
             left.plot([1.0 / n for n in found], closure, "o-", label=label)

@@ -23,18 +23,19 @@ from experiments.validation.case import Case, Check, Job, Result, Runs
 from experiments.validation.plots import GREY
 from fishrl.physics import (
     BodyConfig,
-    Coupling,
     Cylinder,
     DCylinder,
     Fish,
     FlowConfig,
     InPlaceSolver,
     Scales,
+    Skin,
 )
 from fishrl.physics.bodies.motion import Driven, Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
 from fishrl.physics.units import DEFAULT_WALL_SPEED
 from fishrl.programs.figures.style import COLOURS
+from fishrl.settings import build
 
 Start = tuple[tuple[float, float], float, float]  # place, heading and speed of the stream
 
@@ -101,7 +102,7 @@ def push_cylinders(*, is_half: bool, is_turned: bool) -> Result:
 
 
 def swim_invariantly(
-    *, is_turned: bool, coupling: str, body_length: int = BODY_LENGTH, pace: float = 1.0
+    *, is_turned: bool, skin: str, body_length: int = BODY_LENGTH, pace: float = 1.0
 ) -> Result:
     """Return by name the mean velocity (x, y) of free fish relative to the stream, L / T.
 
@@ -122,11 +123,10 @@ def swim_invariantly(
         drift = 0.5 * NUM_BEATS * scales.period
         streams = {name: pace * stream for name, stream in STREAMS.items()}
         runs |= {name: ((x - drift * each, y), pi, each) for name, each in streams.items()}
-    skin = Coupling(coupling)
     solver = _start(
-        Fish(body_length=body_length, motion=Free(), **skin.body_settings), list(runs.values()),
+        Fish(body_length=body_length, motion=Free()), list(runs.values()),
         size=size, tau=scales.tau, is_turned=is_turned, frequency=1.0 / scales.period,
-        coupling=skin,
+        skin=skin,
     )  # fmt: skip
     carried = torch.tensor([stream for _, _, stream in runs.values()])
     if not is_turned:
@@ -150,7 +150,7 @@ def _start(
     tau: float,
     is_turned: bool,
     frequency: float = 0.0,
-    coupling: Coupling = Coupling.IMPLICIT,
+    skin: str = "immersed-boundary",
 ) -> InPlaceSolver:
     """Return flows at rest or in a uniform stream; ``is_turned`` turns everything by 90 degrees."""
     width, height = (size[1], size[0]) if is_turned else size
@@ -161,7 +161,7 @@ def _start(
     edges = Boundaries(left=edge, right=edge, bottom=edge, top=edge)
     base = FlowConfig(
         width=width, height=height, tau=tau, stream_speed=0.0, bodies=(body,), boundaries=edges,
-        coupling=coupling,
+        skin=build(Skin, skin),
     )  # fmt: skip
     configs = [replace(base, stream_speed=stream) for _, _, stream in runs]
     solver = InPlaceSolver(config=configs, frequency=frequency, num_workers=0)
@@ -178,12 +178,12 @@ def _turn_back(vectors: Tensor, is_turned: bool) -> Tensor:
 
 # the body and what is compared, arguments of its run
 QUANTITIES: dict[str, tuple[Callable[..., Result], dict[str, Any]]] = {
-    "fish: speed": (swim_invariantly, {"coupling": "implicit"}),
-    "fish, bounce-back: speed": (swim_invariantly, {"coupling": "bounce-back"}),
-    "fish, L = 100: speed": (swim_invariantly, {"coupling": "implicit", "body_length": FINE}),
+    "fish: speed": (swim_invariantly, {"skin": "immersed-boundary"}),
+    "fish, bounce-back: speed": (swim_invariantly, {"skin": "bounce-back"}),
+    "fish, L = 100: speed": (swim_invariantly, {"skin": "immersed-boundary", "body_length": FINE}),
     "fish, bounce-back, L = 100: speed": (
         swim_invariantly,
-        {"coupling": "bounce-back", "body_length": FINE},
+        {"skin": "bounce-back", "body_length": FINE},
     ),
     "cylinder: force": (push_cylinders, {"is_half": False}),
     "half disc: force": (push_cylinders, {"is_half": True}),

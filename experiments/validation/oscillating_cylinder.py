@@ -22,7 +22,8 @@ from experiments.validation.case import Case, Check, Job, Result, Runs, check_re
 from experiments.validation.plots import draw_reference
 from experiments.validation.wake import PINNED, make_even, start_flow
 from fishrl.physics import Boundaries, Cylinder, FlowConfig, Oscillating
-from fishrl.physics.flow import Coupling
+from fishrl.physics.skins import Skin
+from fishrl.settings import build
 
 KC = 5.0  # U T / D
 REYNOLDS = 100.0  # U D / nu
@@ -40,8 +41,8 @@ DIAMETERS = (20, 30, 40)
 SURFACE, INSIDE, SHARP = "markers on the surface", "markers 0.45 nodes inside", "bounce-back"
 SKINS: dict[str, dict[str, Any]] = {
     SURFACE: {"inset": 0.0},
-    INSIDE: {"inset": 0.45},  # the bodies' default
-    SHARP: {"coupling": "bounce-back"},
+    INSIDE: {"inset": 0.45},  # the default
+    SHARP: {"skin": "bounce-back"},
 }
 # Fig. 10 of Duetsch et al. 1998: every other point of
 # PacIFiC's src/Octree/MovingCutCell/test-navier-stokes/data/Dutsch1998/Dutsch1998-fig10.csv.
@@ -60,7 +61,7 @@ def oscillate(
     length: int = 20,
     height: int = 15,
     inset: float = 0.0,
-    coupling: str = "implicit",
+    skin: str = "immersed-boundary",
 ) -> Result:
     """Let a cylinder oscillate along x, starting at rest at its turning point.
 
@@ -72,14 +73,13 @@ def oscillate(
     period = samples * NUM_SAMPLES
     speed = KC * diameter / period
     amplitude = speed * period / (2.0 * pi)
-    how, motion = Coupling(coupling), Oscillating(sway=(amplitude, 0.0))
-    settings = {"inset": inset} | how.body_settings
+    motion = Oscillating(sway=(amplitude, 0.0))
     config = FlowConfig(
         width=length * diameter,
         height=height * diameter,
         tau=3.0 * speed * diameter / REYNOLDS + 0.5,
-        bodies=(Cylinder(diameter=diameter, motion=motion, **settings),),
-        coupling=how,
+        bodies=(Cylinder(diameter=diameter, motion=motion, inset=inset),),
+        skin=build(Skin, skin),
         boundaries=Boundaries(left=PINNED, right=PINNED, bottom=PINNED, top=PINNED),
     )
     centre = (0.5 * config.width + amplitude + 0.3, 0.5 * config.height + 0.2)

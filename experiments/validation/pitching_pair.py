@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.wake import OPEN, OPEN_SIDE, STREAM, make_even
-from fishrl.physics import Boundaries, FlowConfig, Foil, InPlaceSolver, Surging
+from fishrl.physics import Boundaries, FlowConfig, Foil, ImmersedBoundary, InPlaceSolver, Surging
 
 PITCH = radians(15.0)
 REYNOLDS = 1645.0  # 2 pi rho A f L / mu, A = L sin(PITCH)
@@ -66,6 +66,7 @@ def swim(
         tau=3.0 * tip * size**2 / period / REYNOLDS + 0.5,
         stream_speed=stream,
         bodies=(foil, foil) if has_pair else (foil,),
+        skin=ImmersedBoundary(),
         boundaries=Boundaries(left=STREAM, right=OPEN, bottom=OPEN_SIDE, top=OPEN_SIDE),
     )
     solver = InPlaceSolver(config=config, num_envs=1, frequency=1.0 / period, num_workers=0)

@@ -4,7 +4,7 @@ A disc of d = 0.25 cm is released at (1, 4) cm in a closed box of 2 × 6 cm with
 fluid density of 1 g/cm³. *Slow*: density ratio 1.25, μ = 0.1 g/(cm s). *Fast*: density ratio 1.5, μ
 = 0.01 g/(cm s). *Channel*: W = 4 d, 80 d high, density ratio 1.5, ν = 0.008088, g = 10 (d = 1),
 released at a quarter of the width from the wall; mean over the last third of the time. Walls are
-half-way bounce-back, the body is free, its skin the immersed boundary (implicit coupling) or
+half-way bounce-back, the body is free, its skin the immersed boundary or
 bounce-back, and the greatest speed is about 0.05 nodes per step. The load is the weight minus the
 buoyancy of the exact disc. The peak Reynolds numbers of the box use the density of the disc, ρ_s v
 d / μ. With that of the fluid, the published 17.2 would imply a drag coefficient of 2.0 between
@@ -23,15 +23,16 @@ from experiments.validation.case import Case, Check, Job, Result, Runs, as_range
 from experiments.validation.plots import GREY
 from experiments.validation.wake import make_even, start_flow
 from fishrl.physics import Boundaries, Cylinder, FlowConfig, Free, NoSlip
-from fishrl.physics.flow import Coupling
+from fishrl.physics.skins import Skin
 from fishrl.programs.figures.style import COLOURS
+from fishrl.settings import build
 
 NUM_SAMPLES = 300
 SPEED = 0.05
 SKINS: dict[str, dict[str, Any]] = {
     "": {"inset": 0.0},
-    ", markers 0.45 nodes inside": {"inset": 0.45},  # the bodies' default
-    ", bounce-back": {"coupling": "bounce-back"},
+    ", markers 0.45 nodes inside": {"inset": 0.45},  # the default
+    ", bounce-back": {"skin": "bounce-back"},
 }
 SIZES = (16, 24, 32)
 TOLERANCE = 0.04
@@ -68,7 +69,7 @@ TARGETS: dict[str, tuple[str, str, float, Any, str]] = {
 
 
 def settle(
-    *, experiment: str, nodes: int, inset: float = 0.0, coupling: str = "implicit"
+    *, experiment: str, nodes: int, inset: float = 0.0, skin: str = "immersed-boundary"
 ) -> Result:
     """Let a disc, ``nodes`` wide, sink from rest in a box with walls all round.
 
@@ -78,15 +79,14 @@ def settle(
     case = EXPERIMENTS[experiment]
     space = case.diameter / nodes
     time = space * SPEED / case.top_speed
-    density, how = case.density_ratio, Coupling(coupling)
-    settings = {"inset": inset} | how.body_settings
-    body = Cylinder(diameter=nodes, density_ratio=density, motion=Free(), **settings)
+    density = case.density_ratio
+    body = Cylinder(diameter=nodes, density_ratio=density, motion=Free(), inset=inset)
     config = FlowConfig(
         width=round(case.width / space),
         height=round(case.height / space),
         tau=3.0 * case.viscosity * time / space**2 + 0.5,
         bodies=(body,),
-        coupling=how,
+        skin=build(Skin, skin),
         boundaries=Boundaries(left=NoSlip(), right=NoSlip(), bottom=NoSlip(), top=NoSlip()),
     )
     solver = start_flow(config, [c / space - 0.5 for c in case.start])

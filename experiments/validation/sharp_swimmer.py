@@ -1,6 +1,6 @@
 """Swimmer with a sharp skin.
 
-The free swimmer of the case before, with `Coupling.BOUNCE_BACK` instead of the immersed boundary,
+The free swimmer of the case before, with `BounceBack()` instead of the immersed boundary,
 on coarse and fine grids at two Reynolds numbers. What counts is how little a coarse grid changes:
 speed over the tenth beat and mean power of the muscles in it are compared with the same fish's at
 L = 100, and L = 100 with L = 140.
@@ -15,8 +15,8 @@ from experiments.validation.swimmer import NUM_BEATS, make_swim
 
 REYNOLDS = (500.0, 7142.0)
 LENGTHS = (32, 50, 70, 100, 140)
-COARSE = ("implicit", (32, 50, 100))
-NAMES = {"implicit": "immersed boundary", "bounce-back": "bounce-back"}
+COARSE = ("immersed-boundary", (32, 50, 100))
+NAMES = {"immersed-boundary": "immersed boundary", "bounce-back": "bounce-back"}
 # at most this far from the speed at L = 100, and of the power at L = 50
 LIMITS = {32: 0.20, 50: 0.08}
 POWER_LIMIT = 0.10
@@ -31,17 +31,17 @@ REASONS = {
 def list_jobs() -> Iterator[Job]:
     """Return the sharp swimmers, and the others for comparison."""
     for reynolds in REYNOLDS:
-        for coupling, lengths in (("bounce-back", LENGTHS), COARSE):
+        for skin, lengths in (("bounce-back", LENGTHS), COARSE):
             for n in lengths:
-                yield make_swim(n, NUM_BEATS, reynolds=reynolds, coupling=coupling)
+                yield make_swim(n, NUM_BEATS, reynolds=reynolds, skin=skin)
 
 
 def judge(runs: Runs) -> Iterator[Check]:
     """Compare coarse grids with fine ones."""
     for reynolds in REYNOLDS:
         given = {"num_beats": NUM_BEATS, "reynolds": reynolds}
-        sharp = runs.by("body_length", coupling="bounce-back", **given)
-        soft = runs.by("body_length", coupling="implicit", **given)
+        sharp = runs.by("body_length", skin="bounce-back", **given)
+        soft = runs.by("body_length", skin="immersed-boundary", **given)
         speed = {n: run["speed"][-1] for n, run in sharp.items()}
         power = {n: run["power"][-1] for n, run in sharp.items()}
         at = f"Re = {reynolds:g}"
@@ -84,10 +84,8 @@ def draw(figure: Figure, runs: Runs) -> None:
     """Draw the final speed against the grid."""
     every = figure.subplots(1, len(REYNOLDS), sharey=True)
     for axes, reynolds in zip(every, REYNOLDS, strict=True):
-        for coupling, name in NAMES.items():
-            found = runs.by(
-                "body_length", num_beats=NUM_BEATS, reynolds=reynolds, coupling=coupling
-            )
+        for skin, name in NAMES.items():
+            found = runs.by("body_length", num_beats=NUM_BEATS, reynolds=reynolds, skin=skin)
             speeds = [run["speed"][-1] for run in found.values()]
             axes.plot([1.0 / n for n in found], speeds, "o-", label=name)
         axes.set(xlabel="1 / L", title=f"Re = {reynolds:g}", xlim=(0.0, None))

@@ -22,7 +22,9 @@ from matplotlib.figure import Figure
 from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.wake import make_even, start_flow
 from fishrl.physics import Boundaries, Ellipse, FlowConfig, Free, NoSlip, Periodic
-from fishrl.physics.flow import Coupling, make_uniform
+from fishrl.physics.flow import make_uniform
+from fishrl.physics.skins import Skin
+from fishrl.settings import build
 
 ASPECT_RATIO = 2.0
 NUM_SAMPLES = 400  # per 5 pi / G, Jeffery's period
@@ -34,7 +36,7 @@ GAPS = (5.0, 10.0)
 SLOW: dict[str, Any] = {"length": 16, "reynolds": 0.1, "tau": 1.4}
 SKINS: dict[str, dict[str, Any]] = {
     f"inset {INSET}": {"inset": INSET},
-    "bounce-back": {"coupling": "bounce-back"},
+    "bounce-back": {"skin": "bounce-back"},
 }
 USUAL: dict[str, Any] = {"length": 24, "reynolds": 0.5}
 TAUS = (0.8, 1.4)
@@ -58,7 +60,7 @@ def tumble(
     period_length: float = 0.0,
     tau: float = 1.1,
     inset: float = 0.0,
-    coupling: str = "implicit",
+    skin: str = "immersed-boundary",
 ) -> Result:
     """Let an ellipse rotate freely between sliding walls, through one half turn.
 
@@ -69,16 +71,15 @@ def tumble(
     """
     nu = (tau - 0.5) / 3.0
     shear = reynolds * nu / length**2
-    height, how = round(gap * length), Coupling(coupling)
-    settings = {"inset": inset} | how.body_settings
-    ellipse = Ellipse(length=length, width=length / ASPECT_RATIO, motion=Free(), **settings)
+    height = round(gap * length)
+    ellipse = Ellipse(length=length, width=length / ASPECT_RATIO, motion=Free(), inset=inset)
     config = FlowConfig(
         width=round((period_length or 2.0 * gap) * length),
         height=height,
         tau=tau,
         stream_speed=0.5 * shear * height,
         bodies=(ellipse,),
-        coupling=how,
+        skin=build(Skin, skin),
         boundaries=Boundaries(
             left=Periodic(),
             right=Periodic(),

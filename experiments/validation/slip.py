@@ -22,9 +22,16 @@ from fishrl.physics.bodies.state import make_body
 from fishrl.physics.boundaries import Boundaries
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.flow import FlowParams, make_params, make_rest
-from fishrl.physics.geometry import locate_bodies
-from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing, interpolate
-from fishrl.physics.step import couple_bodies, gather, gather_fluid, spread, step
+from fishrl.physics.skins import DirectSolve, ForceSolve, ImmersedBoundary, IterativeForcing
+from fishrl.physics.skins.delta import interpolate
+from fishrl.physics.skins.immersed_boundary import (
+    couple_bodies,
+    gather,
+    gather_fluid,
+    locate_bodies,
+    spread,
+)
+from fishrl.physics.step import step
 from fishrl.programs.figures.style import COLOURS
 
 RELAXATIONS = {1.0: "--", 1.7: "-"}  # with the lines of the figure
@@ -40,7 +47,9 @@ def make_fish_flow() -> tuple[FlowConfig, FlowState, float, int]:
     """Return a flow at rest, the speed to compare with and the steps until it is measured."""
     scales = Scales.from_budget(body_length=50, reynolds=7000.0)
     fish = Fish(body_length=50, motion=Free())
-    config = FlowConfig(width=240, height=120, tau=scales.tau, bodies=(fish,))
+    config = FlowConfig(
+        width=240, height=120, tau=scales.tau, bodies=(fish,), skin=ImmersedBoundary()
+    )
     state = _make_state(config, (140.3, 60.2), 1.0 / scales.period)
     return config, state, scales.tail_speed, round(0.7 * scales.period)
 
@@ -53,6 +62,7 @@ def _make_cylinder_flow() -> tuple[FlowConfig, FlowState, float, int]:
         stream_speed=0.05,
         ramp_steps=200,
         bodies=(Cylinder(diameter=20),),
+        skin=ImmersedBoundary(),
         boundaries=Boundaries(left=STREAM, right=PINNED, bottom=STREAM, top=STREAM),
     )
     return config, _make_state(config, (60.3, 60.2), 0.0), 0.05, 600
@@ -70,12 +80,14 @@ def measure_slip(state: FlowState, config: FlowConfig, params: FlowParams) -> fl
 
     The velocity is interpolated from the nodes, force included, not taken from the solve.
     """
-    fluid = compute_macroscopic(state.f.unbind(1))
-    place = locate_bodies(config, params.bodies, state.bodies, fluid.rho.dtype)
+    fluid, size = compute_macroscopic(state.f.unbind(1)), (config.width, config.height)
+    assert isinstance(config.skin, ImmersedBoundary)
+    bodies = config.skin, config.bodies, params.bodies, state.bodies
+    place = locate_bodies(*bodies, size, fluid.rho.dtype)
     nodes = place.stencil.index_nodes(config.width)
     seen = gather_fluid(fluid, nodes)
-    moved, *shares = couple_bodies(config, params.bodies, state.bodies, place, seen)
-    body, markers = moved[0], place.outlines.markers[0]
+    moved, *shares = couple_bodies(*bodies, place, seen)
+    body, markers = moved[0], place.outlines[0].markers
     spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1)
     wall = body.velocity[:, None] + body.angular_velocity[:, None, None] * spin
     wall = wall + markers.deformation_velocity
@@ -98,7 +110,8 @@ def compare_solves(*, body: str) -> Result:
         start = step(start, config, params)
 
     def go_on(solve: ForceSolve, dtype: torch.dtype = torch.float64) -> float:
-        state, own = start._replace(f=start.f.to(dtype)), replace(config, force_solve=solve)
+        state = start._replace(f=start.f.to(dtype))
+        own = replace(config, skin=ImmersedBoundary(force_solve=solve))
         slips = []
         for count in range(NUM_STEPS):
             if count >= NUM_STEPS // 2:

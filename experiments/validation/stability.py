@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.plots import name_ticks
 from experiments.validation.wake import PINNED, STREAM, start_stream
-from fishrl.physics import Cylinder, Fixed, InPlaceSolver, Scales
+from fishrl.physics import Cylinder, Fixed, ImmersedBoundary, InPlaceSolver, Scales
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.collision import Rates
 
@@ -59,7 +59,9 @@ def turn_at_random(
     scales = Scales.from_budget(
         body_length=body_length, reynolds=REYNOLDS, max_wall_speed=max_wall_speed
     )
-    config = make_swimmer_config(scales, rates=Rates(energy=energy, flux=flux))
+    config = make_swimmer_config(
+        scales, rates=Rates(energy=energy, flux=flux), skin=ImmersedBoundary()
+    )
     solver = InPlaceSolver(config=config, frequency=1.0 / scales.period, num_workers=0)
     generator = torch.Generator().manual_seed(0)
     size = torch.tensor([config.width, config.height])

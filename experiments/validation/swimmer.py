@@ -20,8 +20,9 @@ from experiments.validation.wake import start_flow
 from fishrl.physics import Commanded, Fish, Free, Scales, Section
 from fishrl.physics.bodies.gait import GAITS
 from fishrl.physics.cases import make_swimmer_config
-from fishrl.physics.flow import Coupling
+from fishrl.physics.skins import Skin
 from fishrl.physics.units import DEFAULT_WALL_SPEED
+from fishrl.settings import build
 
 START_BL = 8.5  # of a tank of 10 L
 LENGTHS = (50, 70, 100, 140, 200)
@@ -60,7 +61,7 @@ def swim(
     keeps_length: bool = False,
     is_free: bool = True,
     inset: float = 0.0,
-    coupling: str = "implicit",
+    skin: str = "immersed-boundary",
 ) -> Result:
     """Swim along a tank of 10 L x ``height_bl`` from rest; unless ``is_free`` the heading is held.
 
@@ -80,10 +81,10 @@ def swim(
         gait=GAITS[gait],
         keeps_length=keeps_length,
         motion=Free() if is_free else Commanded(),
-        **{"inset": inset} | Coupling(coupling).body_settings,
+        inset=inset,
     )
     config = make_swimmer_config(
-        scales, height_bl=height_bl, bodies=(fish,), coupling=Coupling(coupling)
+        scales, height_bl=height_bl, bodies=(fish,), skin=build(Skin, skin)
     )
     place = (START_BL * body_length, 0.5 * height_bl * body_length)
     solver = start_flow(config, place, pi, frequency=1.0 / scales.period)

@@ -17,8 +17,9 @@ from experiments.validation.case import Case, Check, Job, Result, Runs
 from experiments.validation.wake import start_flow
 from fishrl.physics import Bending, Commanded, Fish, Scales
 from fishrl.physics.cases import make_swimmer_config
-from fishrl.physics.flow import Coupling
+from fishrl.physics.skins import Skin
 from fishrl.physics.units import DEFAULT_WALL_SPEED
+from fishrl.settings import build
 
 BODY_LENGTH = 50
 REYNOLDS = 7000.0
@@ -32,7 +33,7 @@ HEADLINE = "turn of the body axis, degrees per beat, bending, gain 1"
 def turn(
     *,
     gain: float | None,
-    coupling: str = "implicit",
+    skin: str = "immersed-boundary",
     body_length: int = BODY_LENGTH,
     reynolds: float = REYNOLDS,
     max_wall_speed: float = DEFAULT_WALL_SPEED,
@@ -47,9 +48,8 @@ def turn(
         body_length=body_length, reynolds=reynolds, max_wall_speed=max_wall_speed
     )
     motion = Commanded() if gain is None else Bending(gain=gain)
-    skin = Coupling(coupling)
-    fish = Fish(body_length=body_length, motion=motion, **skin.body_settings)
-    config = make_swimmer_config(scales, bodies=(fish,), coupling=skin)
+    fish = Fish(body_length=body_length, motion=motion)
+    config = make_swimmer_config(scales, bodies=(fish,), skin=build(Skin, skin))
     start = [c * body_length for c in START_BL]
     solver = start_flow(config, start, pi, frequency=1.0 / scales.period)
     path, axes = [START_BL], [pi]

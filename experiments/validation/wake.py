@@ -10,11 +10,11 @@ from torch import Tensor
 from experiments.validation.case import Result
 from fishrl.physics import Cylinder, DCylinder, Fixed, FlowConfig, InPlaceSolver, diagnostics
 from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, OpenEdge
-from fishrl.physics.flow import Coupling
-from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing
+from fishrl.physics.skins import DirectSolve, ImmersedBoundary, Skin
 
 STREAM, PINNED = NonEquilibrium(velocity=(1.0, 0.0)), NonEquilibrium(density=1.0)
-EXACT, ITERATIVE = DirectSolve(regularisation=0.0), IterativeForcing()
+EXACT = DirectSolve(regularisation=0.0)
+EXACT_SKIN = ImmersedBoundary(force_solve=EXACT)
 OPEN, OPEN_SIDE = OpenEdge(), OpenEdge(is_plane=False)  # let sound out: plane waves, any waves
 SLIDING = NonEquilibrium(velocity=(None, 0.0))  # sides along which the water moves
 
@@ -49,10 +49,9 @@ def start_stream(
     inflow: Boundary = STREAM,
     outflow: Boundary = OPEN,
     sides: Boundary = OPEN_SIDE,
-    solve: ForceSolve = EXACT,
-    coupling: Coupling = Coupling.IMPLICIT,
+    skin: Skin = EXACT_SKIN,
 ) -> InPlaceSolver:
-    """Return a body in a stream along x that fills the domain, no slip solved directly.
+    """Return a body in a stream along x that fills the domain, no slip solved directly by default.
 
     ``place`` and ``size`` are in nodes, ``speed`` in nodes per step.
     """
@@ -63,8 +62,7 @@ def start_stream(
         stream_speed=speed,
         bodies=(body,),
         boundaries=Boundaries(left=inflow, right=outflow, bottom=sides, top=sides),
-        force_solve=solve,
-        coupling=coupling,
+        skin=skin,
     )
     return start_flow(config, place, heading, stream=(1.0, 0.0))
 

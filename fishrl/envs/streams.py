@@ -127,7 +127,7 @@ class AbstractStreamTask(AbstractTask):
         if not self.stream.has_disc:
             return ()
         sizes = [diameter * self.body_length for diameter in self.stream.diameters_bl]
-        largest = DCylinder(diameter=max(sizes), **self.coupling.body_settings)
+        largest = self.skin.fit(DCylinder(diameter=max(sizes)))
         return tuple(replace(largest, diameter=size) for size in sizes)
 
     @property

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from functools import cached_property
 from math import ceil
 from types import MappingProxyType
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import torch
 from pydantic import Field, PositiveFloat, PositiveInt
@@ -28,8 +28,9 @@ from fishrl.envs.starts import check_fit, check_pattern, place_fish
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending
 from fishrl.physics.fast.solver import InPlaceSolver
-from fishrl.physics.flow import Coupling, FlowConfig
+from fishrl.physics.flow import FlowConfig
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
+from fishrl.physics.skins import BounceBack, Skin
 from fishrl.physics.units import DEFAULT_WALL_SPEED, Scales
 from fishrl.settings import Settings
 
@@ -70,9 +71,8 @@ class AbstractTask(Settings, ABC):
         body_length: L in nodes; at Reynolds number 7000 at least 50 for a useful swimming speed.
         reynolds: Re_f = L^2 / (T nu).
         max_wall_speed: largest speed of the beating tail, nodes per step; sets the period T.
-        coupling: how fish and water act on each other: ``bounce-back``, a sharp skin, or the
-            immersed boundary, ``implicit``; see ``Coupling`` and
-            the page on resolution.
+        skin: how fish and water act on each other: ``bounce-back``, a sharp skin, or
+            ``immersed-boundary``, the paper's; see the page on resolution.
         domain_bl: width and height of the domain in body lengths.
         wall_margin_bl: smallest distance of a marker from the edge, in body lengths.
         num_stacked: stacked observations, the current one included.
@@ -81,10 +81,14 @@ class AbstractTask(Settings, ABC):
         checks_per_action: checks for termination within one action.
     """
 
+    former: ClassVar[Mapping[str, str]] = {
+        "coupling": "give skin=bounce-back or skin=immersed-boundary, in Python skin=BounceBack()"
+    }
+
     body_length: Annotated[int, Field(ge=16, le=100_000)] = 50
     reynolds: PositiveFloat = 7000.0
     max_wall_speed: PositiveFloat = DEFAULT_WALL_SPEED
-    coupling: Coupling = Coupling.BOUNCE_BACK
+    skin: Skin = BounceBack()
     domain_bl: tuple[_Size, _Size] = (10.0, 5.0)
     wall_margin_bl: Annotated[float, Field(ge=0, le=1e6)] = 0.1
     num_stacked: Annotated[int, Field(ge=1, le=10_000)] = 4
@@ -186,8 +190,8 @@ class AbstractTask(Settings, ABC):
 
     @cached_property
     def fish(self) -> Fish:
-        """Configuration of the fish; another one needs the same ``body_settings``."""
-        return Fish(body_length=self.body_length, **self.coupling.body_settings)
+        """Configuration of the fish."""
+        return self.skin.fit(Fish(body_length=self.body_length))
 
     @property
     def n_substeps(self) -> int:
@@ -241,7 +245,7 @@ class AbstractTask(Settings, ABC):
             height=height,
             tau=self.scales.tau,
             bodies=bodies,
-            coupling=self.coupling,
+            skin=self.skin,
         )
 
     @abstractmethod

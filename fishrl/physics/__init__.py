@@ -35,9 +35,10 @@ from fishrl.physics.diagnostics import (
     measure_cycles,
 )
 from fishrl.physics.fast.solver import InPlaceSolver
-from fishrl.physics.flow import Coupling, FlowConfig, FlowParams, FlowState, Sponge
+from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, Sponge
 from fishrl.physics.geometry import Markers
 from fishrl.physics.rollout import estimate_memory, simulate
+from fishrl.physics.skins import BounceBack, ImmersedBoundary, Skin
 from fishrl.physics.units import Scales, compute_tau
 
 __all__ = [
@@ -48,9 +49,9 @@ __all__ = [
     "Bending",
     "BodyConfig",
     "BodyState",
+    "BounceBack",
     "Boundaries",
     "Commanded",
-    "Coupling",
     "Cylinder",
     "DCylinder",
     "Driven",
@@ -63,6 +64,7 @@ __all__ = [
     "Foil",
     "Free",
     "Gait",
+    "ImmersedBoundary",
     "InPlaceSolver",
     "Markers",
     "NoSlip",
@@ -73,6 +75,7 @@ __all__ = [
     "Profile",
     "Scales",
     "Section",
+    "Skin",
     "Sponge",
     "Stroke",
     "Strokes",

@@ -49,6 +49,22 @@ class Macroscopic(NamedTuple):
         return self.drho + 1.0
 
 
+class Collided(NamedTuple):
+    """The fluid between collision and streaming; fields ``[B, Y, X]``."""
+
+    f: Sequence[Tensor]  #: nine populations after collision without force
+    fluid: Macroscopic  #: before collision
+    force: Tensor  #: ``[B, 2, Y, X]`` external body-force density
+    omega: Tensor  #: 1 / tau, broadcasts
+    rates: Rates  #: the other relaxation rates
+
+    def add_force(self, force: Tensor) -> list[Tensor]:
+        """Return the populations of a collision with a body-force density ``[B, 2, Y, X]``."""
+        fx, fy = force.unbind(1)
+        increment = compute_force_increment(self.fluid, (fx, fy), self.omega, self.rates)
+        return [a + b for a, b in zip(self.f, increment, strict=True)]
+
+
 def compute_moments(f: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
     """Return the density deviation rho - 1 and the momentum (jx, jy), without the half-force."""
     f0, f1, f2, f3, f4, f5, f6, f7, f8 = f

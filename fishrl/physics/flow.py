@@ -1,10 +1,9 @@
 """A flow: its static configuration, its parameters and its state."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from enum import Enum
 from math import hypot, pi
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import torch
 from pydantic import Field, NonNegativeInt, PositiveInt
@@ -17,47 +16,10 @@ from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundaries, Side
 from fishrl.physics.collision import Rates, compute_equilibrium
-from fishrl.physics.delta import SUPPORT
-from fishrl.physics.immersed_boundary import ForceSolve, IterativeForcing
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
-from fishrl.physics.links import MARGIN, MAX_SPACING
+from fishrl.physics.skins import BounceBack, Skin
 from fishrl.physics.units import check_tau
 from fishrl.settings import Settings
-
-
-class Coupling(Enum):
-    """How bodies and fluid act on each other.
-
-    ``IMPLICIT``: immersed boundary, force and rigid motion solved together; conserves momentum and
-    is stable at equal density.
-
-    ``BOUNCE_BACK``: the skin is a sharp surface (``bounce_back.py``). More accurate for a thin
-    fish; the force solve does not matter.
-    """
-
-    IMPLICIT = "implicit"
-    BOUNCE_BACK = "bounce-back"
-
-    @property
-    def body_settings(self) -> dict[str, Any]:
-        """Settings that bodies need: markers on the skin itself, and half a node apart."""
-        is_sharp = self is Coupling.BOUNCE_BACK
-        return {"marker_spacing": 0.5, "inset": 0.0} if is_sharp else {}
-
-    @property
-    def spacing_range(self) -> tuple[float, float]:
-        """Smallest and largest mean distance of a body's markers, nodes."""
-        return (0.1, MAX_SPACING) if self is Coupling.BOUNCE_BACK else (0.4, 2.1)
-
-    def find_least_density(self, body: BodyConfig) -> float:
-        """Return the least ``density_ratio`` of a body that the flow moves, for a stable flow.
-
-        With ``IMPLICIT`` a body may lack the mass of water of half a node along its outline; see
-        "Motion" in the documentation's theory for the measurements.
-        """
-        if self is Coupling.BOUNCE_BACK:
-            return 0.0
-        return max(0.0, 1.0 - 0.5 * body.spacing * body.num_markers / body.area)
 
 
 class Sponge(Settings):
@@ -94,9 +56,14 @@ class FlowConfig(Settings):
         rates: relaxation rates of the other moments.
         boundaries: the four edges.
         sponges: strips of raised viscosity.
-        force_solve: method that enforces no slip.
-        coupling: how bodies and fluid act on each other, see ``Coupling``.
+        skin: how bodies and fluid act on each other: ``BounceBack()``, a sharp skin, or
+            ``ImmersedBoundary()``, the paper's. Bodies take their marker spacing and inset from it.
     """
+
+    former: ClassVar[Mapping[str, str]] = {
+        "coupling": "give skin=BounceBack(), the default, or skin=ImmersedBoundary()",
+        "force_solve": "give skin=ImmersedBoundary(force_solve=...)",
+    }
 
     width: Annotated[int, Field(ge=4, le=2**31 - 1)]
     height: Annotated[int, Field(ge=4, le=2**31 - 1)]
@@ -107,11 +74,11 @@ class FlowConfig(Settings):
     rates: Rates = Rates()
     boundaries: Boundaries = Boundaries()
     sponges: tuple[Sponge, ...] = ()
-    force_solve: ForceSolve = IterativeForcing()
-    coupling: Coupling = Coupling.IMPLICIT
+    skin: Skin = BounceBack()
 
     def __post_init__(self) -> None:
         check_tau(self.tau)
+        object.__setattr__(self, "bodies", tuple(map(self.skin.fit, self.bodies)))
         if self.fish is None and any(isinstance(body, Fish) for body in self.bodies):
             names = [type(body).__name__ for body in self.bodies]
             raise ValueError(f"bodies = {names}: the fish must come first")
@@ -127,27 +94,6 @@ class FlowConfig(Settings):
                     f"{self.height} nodes: shorten it or enlarge the domain"
                 )
         for body in self.bodies:
-            low, high = self.coupling.spacing_range
-            settings = self.coupling.body_settings
-            remedy = "".join(f", or give {name} = {value}" for name, value in settings.items())
-            if not low <= body.spacing <= high:
-                raise ValueError(
-                    f"{type(body).__name__} with num_markers = {body.num_markers}: they would lie "
-                    f"{body.spacing:.2f} nodes apart, allowed is {low} to {high} with coupling = "
-                    f"{self.coupling.value!r}; change the number of markers or the size{remedy}"
-                )
-            if self.coupling is Coupling.BOUNCE_BACK and body.inset:
-                raise ValueError(
-                    f"{type(body).__name__} with inset = {body.inset}: must be 0 with coupling = "
-                    f"{self.coupling.value!r}, whose skin lies at the markers"
-                )
-            least = self.coupling.find_least_density(body)
-            if body.motion.free_axes and body.density_ratio < least:
-                raise ValueError(
-                    f"{type(body).__name__} with density_ratio = {body.density_ratio}: must be at "
-                    f"least {least:.3g} at this size, as a lighter one is unstable with coupling = "
-                    f"{self.coupling.value!r}; give coupling = Coupling.BOUNCE_BACK"
-                )
             if body.size > min(self.width, self.height) - 4:
                 raise ValueError(
                     f"{type(body).__name__} of {body.size:g} nodes does not fit into {self.width} "
@@ -163,11 +109,6 @@ class FlowConfig(Settings):
     def num_bytes(self) -> int:
         """Size of the populations of one flow in bytes, in single precision."""
         return 4 * Q * self.width * self.height
-
-    @property
-    def margin(self) -> float:
-        """Distance from the edge nodes, in nodes, that markers must keep to reach none beyond."""
-        return MARGIN if self.coupling is Coupling.BOUNCE_BACK else 0.5 * SUPPORT - 1.0
 
     @property
     def fish(self) -> Fish | None:

@@ -1,6 +1,5 @@
 """Where the bodies are: markers carried from each body's own frame into the flow."""
 
-from collections.abc import Sequence
 from math import pi
 from typing import NamedTuple
 
@@ -10,8 +9,6 @@ from torch import Tensor
 from fishrl.physics.bodies.gait import Deformation
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.flow import FlowConfig
-from fishrl.physics.immersed_boundary import Stencil, make_stencil, overlap_markers
 
 
 class Markers(NamedTuple):
@@ -22,45 +19,17 @@ class Markers(NamedTuple):
     deformation_velocity: Tensor  #: velocity without the rigid motion, u_def
 
 
-class Outlines(NamedTuple):
-    """The outlines of all bodies in one step."""
+class Outline(NamedTuple):
+    """The outline of one body in one step."""
 
-    deformations: tuple[Deformation, ...]  #: deformation of each body
-    markers: tuple[Markers, ...]  #: markers of each body
-
-
-class BodyGeometry(NamedTuple):
-    """All bodies in one step; the markers of the bodies follow each other in N."""
-
-    outlines: Outlines  #: how the bodies deform and where their markers are
-    spacing: Tensor  #: ``[B, N]`` length of outline that each marker represents
-    stencil: Stencil  #: nodes around all markers
-    operator: tuple[Tensor, ...]  #: what the force solve needs, from ``ForceSolve.prepare``
+    deformation: Deformation  #: how the body deforms, in its own frame
+    markers: Markers  #: where its markers are
 
 
-def locate_bodies(
-    config: FlowConfig,
-    params: Sequence[BodyParams],
-    states: Sequence[BodyState],
-    dtype: torch.dtype,
-) -> BodyGeometry:
-    """Deform the bodies, place their markers, find the nodes around them; weights of ``dtype``."""
-    outlines = locate_outlines(config, params, states)
-    positions = torch.cat([m.position for m in outlines.markers], 1)
-    stencil = make_stencil(positions, config.width, config.height, dtype)
-    spacing = torch.cat([p.spacing.to(dtype).expand(len(positions), -1) for p in params], -1)
-    operator = config.force_solve.prepare(overlap_markers(stencil), spacing)
-    return BodyGeometry(outlines, spacing, stencil, operator)
-
-
-def locate_outlines(
-    config: FlowConfig, params: Sequence[BodyParams], states: Sequence[BodyState]
-) -> Outlines:
-    """Deform the bodies and place their markers."""
-    bodies = zip(config.bodies, params, states, strict=True)
-    deformations = tuple(deform_body(body, own, state) for body, own, state in bodies)
-    markers = tuple(place_markers(s, d) for s, d in zip(states, deformations, strict=True))
-    return Outlines(deformations, markers)
+def locate_outline(config: BodyConfig, params: BodyParams, state: BodyState) -> Outline:
+    """Deform a body and place its markers."""
+    deformation = deform_body(config, params, state)
+    return Outline(deformation, place_markers(state, deformation))
 
 
 def deform_body(config: BodyConfig, params: BodyParams, state: BodyState) -> Deformation:

@@ -77,7 +77,7 @@ def spread_starts(
 
 def describe_inside(config: FlowConfig) -> str:
     """Return where ``lies_inside`` wants the markers of a body, as a remedy."""
-    low, right, top = config.margin, config.width - 1, config.height - 1
+    low, right, top = config.skin.margin, config.width - 1, config.height - 1
     return (
         f"keep its markers within x = {low:g} to {right - low:g} and y = {low:g} to {top - low:g}, "
         "as bodies cross no edge, periodic ones included"
@@ -86,7 +86,7 @@ def describe_inside(config: FlowConfig) -> str:
 
 def lies_inside(outline: Tensor, config: FlowConfig) -> Tensor:
     """Return ``[B]`` bool: whether the markers ``[B, N, 2]`` of a body reach the grid alone."""
-    low = config.margin
+    low = config.skin.margin
     x, y = outline.unbind(-1)
     is_inside = (x > low) & (x < config.width - 1 - low) & (y > low) & (y < config.height - 1 - low)
     return is_inside.all(-1)

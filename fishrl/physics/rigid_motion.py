@@ -1,4 +1,4 @@
-"""Rigid motion, loads and work of each body, from the solution of a coupled step."""
+"""Rigid motion, loads and work of a body, from the forces of a step."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,8 +9,7 @@ from torch import Tensor
 from fishrl.physics.bodies.gait import Deformation, advance_phase, compute_amplitude_rate
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.geometry import Outlines, compute_axis
-from fishrl.physics.surface import Surface, slice_markers
+from fishrl.physics.geometry import Outline, compute_axis
 
 Pair = tuple[Tensor, Tensor]
 
@@ -28,53 +27,42 @@ class RigidUpdate(NamedTuple):
     lateral_power: Tensor  #: ``[B]`` its part along the body's own lateral axis, without -H/I
 
 
-def report_bodies(
-    states: Sequence[BodyState],
-    outlines: Outlines,
-    surface: Surface,
+def report_body(
+    state: BodyState,
+    outline: Outline,
+    rates: Sequence[Tensor],
     *,
-    changes: Sequence[Tensor],
     force: Pair,
     slip: Pair | None,
-) -> list[RigidUpdate]:
-    """Return new velocities, force, torque and power of each body from the solution of a step.
+) -> RigidUpdate:
+    """Return new velocities, force, torque and power of a body from the solution of a step.
 
     Args:
-        states: state of each body at the start of the step.
-        outlines: outlines of the bodies at this step.
-        surface: prescribed motion of the markers.
-        changes: ``[B]`` change of each rate that the flow determines.
+        state: state of the body at the start of the step.
+        outline: its outline at this step.
+        rates: new (U_x, U_y, Omega), ``[B]`` each.
         force: (x, y) ``[B, N]`` each, of the markers on the fluid.
         slip: (x, y) ``[B, N]`` each, remaining velocity error; None is zero.
     """
-    rates = [list(own) for own in surface.rates]
-    for freedom, change in zip(surface.freedoms, changes, strict=True):
-        own_rates = rates[freedom.body]
-        own_rates[freedom.axis] = own_rates[freedom.axis] + change
-    fx, fy = force
-    square = torch.zeros_like(fx)
+    x, y = force
+    square = torch.zeros_like(x)
     if slip is not None:  # without a gradient, which would not be finite at rest
         square = (slip[0] * slip[0] + slip[1] * slip[1]).detach()
-    updates = []
-    for m, own in enumerate(slice_markers(outlines)):
-        markers, across = outlines.markers[m], outlines.deformations[m].lateral_velocity.to(fx)
-        rx, ry = (arm.to(fx) for arm in markers.arm.unbind(-1))
-        ux, uy = markers.deformation_velocity.to(fx).unbind(-1)
-        cos, sin = (part.to(fx)[:, None] for part in compute_axis(states[m]))
-        x, y = fx[:, own], fy[:, own]
-        power = x * ux + y * uy
-        update = RigidUpdate(
-            velocity=torch.stack((rates[m][0], rates[m][1]), -1),
-            angular_velocity=rates[m][2],
-            slip_error=square[:, own].amax(-1).sqrt().double(),
-            force=torch.stack((x.sum(-1).double(), y.sum(-1).double()), -1),
-            torque=(rx * y - ry * x).sum(-1).double(),
-            power=power.sum(-1).double(),
-            positive_power=power.clamp_min(0.0).sum(-1).double(),
-            lateral_power=((cos * y - sin * x) * across).sum(-1).double(),
-        )
-        updates.append(update)
-    return updates
+    across = outline.deformation.lateral_velocity.to(x)
+    rx, ry = (arm.to(x) for arm in outline.markers.arm.unbind(-1))
+    ux, uy = outline.markers.deformation_velocity.to(x).unbind(-1)
+    cos, sin = (part.to(x)[:, None] for part in compute_axis(state))
+    power = x * ux + y * uy
+    return RigidUpdate(
+        velocity=torch.stack((rates[0], rates[1]), -1),
+        angular_velocity=rates[2],
+        slip_error=square.amax(-1).sqrt().double(),
+        force=torch.stack((x.sum(-1).double(), y.sum(-1).double()), -1),
+        torque=(rx * y - ry * x).sum(-1).double(),
+        power=power.sum(-1).double(),
+        positive_power=power.clamp_min(0.0).sum(-1).double(),
+        lateral_power=((cos * y - sin * x) * across).sum(-1).double(),
+    )
 
 
 def measure_gain(

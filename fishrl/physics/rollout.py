@@ -18,7 +18,7 @@ from torch.utils import _pytree as pytree
 from torch.utils.checkpoint import checkpoint
 
 from fishrl.physics.fast.compiled import compile_differentiable
-from fishrl.physics.flow import Coupling, FlowConfig, FlowParams, FlowState, make_params
+from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, make_params
 from fishrl.physics.step import step
 
 Tree = TypeVar("Tree")
@@ -44,7 +44,7 @@ def simulate(
     these requires them, and whatever ``control`` uses. They equal central differences to 1e-5.
     With a sharp skin that moves, though, the result jumps wherever a node changes sides. Gradients
     are exact between these jumps but leave them out, and miss the trend: optimise with
-    ``Coupling.IMPLICIT`` (``studies/gradients`` compares both).
+    ``ImmersedBoundary`` (``studies/gradients`` compares both).
 
     ``torch.func.jvp``, ``jacfwd`` and ``vmap`` work, and the forward derivatives need no memory;
     ``torch.func.grad``, ``vjp`` and ``jacrev`` need ``segment=num_steps``.
@@ -117,10 +117,10 @@ def simulate(
         else:
             state, noted = advance(state, first, last)
         records += noted
-    if state.f.requires_grad and config.coupling is Coupling.BOUNCE_BACK and not config.is_still:
+    if state.f.requires_grad and config.skin.jumps and not config.is_still:
         warnings.warn(
-            "gradients leave out the jumps of a sharp skin, and miss the trend: give coupling = "
-            "Coupling.IMPLICIT",
+            "gradients leave out the jumps of a sharp skin, and miss the trend: give skin = "
+            "ImmersedBoundary()",
             stacklevel=2,
         )
     if record is None:

@@ -1,105 +1,96 @@
-"""How the bodies' surfaces move, and the rigid degrees of freedom that the flow determines."""
+"""How a body's surface moves, and the rigid degrees of freedom that the flow determines."""
 
 from collections.abc import Sequence
-from itertools import accumulate
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.flow import Coupling
-from fishrl.physics.geometry import Outlines
-
-Pair = tuple[Tensor | None, Tensor | None]
+from fishrl.physics.geometry import Outline
 
 
 class Freedom(NamedTuple):
-    """One rigid degree of freedom that the flow determines."""
+    """One rigid degree of freedom of a body that the flow determines."""
 
-    body: int  #: index of its body
     axis: int  #: 0 and 1 for the centre of mass along x and y, 2 for turning
-    unit: Pair  #: velocity (x, y) that a unit of it gives all markers, ``[B, N]``; None is zero
-    rows: tuple[int | None, int | None]  #: rows of the force solve that hold its right-hand sides
-    #: ``[B]`` mass or moment of inertia; the immersed boundary leaves out the fluid's inside
-    inertia: Tensor
+    #: velocity that a unit of it gives the markers along x and y, ``[B, N]``; None is zero
+    unit: tuple[Tensor | None, Tensor | None]
+    inertia: Tensor  #: ``[B]`` mass or moment of inertia that the skin does not move by itself
     push: Tensor  #: ``[B]`` force or torque in addition to the fluid's
-
-    def respond(self, solution: Tensor) -> Pair:
-        """Return the rows (x, y) of a solution ``[B, R, N]`` that a unit of it causes."""
-        x, y = self.rows
-        return None if x is None else solution[:, x], None if y is None else solution[:, y]
 
 
 class Surface(NamedTuple):
-    """How the bodies' surface moves if the flow changes no rate, and what it may change."""
+    """How a body's surface moves if the flow changes no rate, and what it may change."""
 
-    #: (U_x, U_y, Omega) ``[B]`` of each body: prescribed, or as in the last step
-    rates: list[list[Tensor]]
+    rates: list[Tensor]  #: (U_x, U_y, Omega) ``[B]``: prescribed, or as in the last step
     velocity: Tensor  #: ``[B, 2, N]`` of the markers at these rates
     freedoms: list[Freedom]  #: rates that the flow determines
-    units: list[Tensor]  #: ``[B, N]`` right-hand sides of the force solve for the freedoms
+
+    def change_rates(self, changes: Sequence[Tensor]) -> list[Tensor]:
+        """Return the rates after a change ``[B]`` of each freedom."""
+        rates = list(self.rates)
+        for freedom, change in zip(self.freedoms, changes, strict=True):
+            rates[freedom.axis] = rates[freedom.axis] + change
+        return rates
 
 
 def prescribe_surface(
-    bodies: Sequence[BodyConfig],
-    coupling: Coupling,
-    params: Sequence[BodyParams],
-    states: Sequence[BodyState],
-    outlines: Outlines,
+    body: BodyConfig,
+    params: BodyParams,
+    state: BodyState,
+    outline: Outline,
     dtype: torch.dtype,
+    *,
+    has_water_inside: bool,
 ) -> Surface:
-    """Return the motion of all markers with the rates prescribed, or as in the last step.
+    """Return the motion of a body's markers with the rates prescribed, or as in the last step.
 
-    ``outlines`` are those of the ``bodies`` now; velocities are of ``dtype``. The ``coupling``
-    decides whether the inertia of the freedoms leaves out the fluid inside.
+    Velocities are of ``dtype``; see ``Skin.has_water_inside``.
     """
-    own = slice_markers(outlines)
-    num_markers = own[-1].stop
-    displaced = 1.0 if coupling is Coupling.IMPLICIT else 0.0
-
-    def widen(values: Tensor, m: int) -> Tensor:
-        """Return values of body m at all markers, zero at the markers of the others."""
-        return pad(values, (own[m].start, num_markers - own[m].stop)) if len(own) > 1 else values
-
-    rates: list[list[Tensor]] = []
-    velocities: list[Tensor] = []
-    freedoms: list[Freedom] = []
-    units: list[Tensor] = []
-    for m, (body, state) in enumerate(zip(bodies, states, strict=True)):
-        markers, deformation, motion = outlines.markers[m], outlines.deformations[m], body.motion
-        linear, omega = motion.prescribe(state)
-        own_rates = [*linear.unbind(-1), omega]
-        last = *state.velocity.unbind(-1), state.angular_velocity
-        for axis in motion.free_axes:
-            own_rates[axis] = last[axis]
-        rates.append(own_rates)
-        linear, omega = torch.stack(own_rates[:2], -1), own_rates[2]
-        spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1) * omega[:, None, None]
-        velocities.append((linear[:, None] + spin + markers.deformation_velocity).to(dtype).mT)
-        rx, ry = (arm.to(dtype) for arm in markers.arm.unbind(-1))
-        excess = params[m].density_ratio - displaced
-        row = 2 + len(units)  # the first two rows are the slip itself
-        shifts = [axis for axis in motion.free_axes if axis < 2]
-        if shifts:
-            one, mass = widen(torch.ones_like(rx), m), excess * params[m].area
-            units.append(one)
-            for axis in shifts:
-                unit, rows = ((one, None), (row, None)) if axis == 0 else ((None, one), (None, row))
-                freedoms.append(Freedom(m, axis, unit, rows, mass, state.load[:, axis]))
-            row += 1
-        if 2 in motion.free_axes:
-            turning = widen(-ry, m), widen(rx, m)
-            units += turning
-            inertia = excess * deformation.inertia
-            push = -(excess * deformation.inertia_rate * state.angular_velocity)
-            freedoms.append(Freedom(m, 2, turning, (row, row + 1), inertia, push))
-    return Surface(rates, torch.cat(velocities, -1), freedoms, units)
+    markers, deformation, motion = outline.markers, outline.deformation, body.motion
+    linear, omega = motion.prescribe(state)
+    rates = [*linear.unbind(-1), omega]
+    last = *state.velocity.unbind(-1), state.angular_velocity
+    for axis in motion.free_axes:
+        rates[axis] = last[axis]
+    linear, omega = torch.stack(rates[:2], -1), rates[2]
+    spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1) * omega[:, None, None]
+    velocity = (linear[:, None] + spin + markers.deformation_velocity).to(dtype).mT
+    rx, ry = (arm.to(dtype) for arm in markers.arm.unbind(-1))
+    excess = params.density_ratio - (1.0 if has_water_inside else 0.0)
+    one = torch.ones_like(rx)
+    units = (one, None), (None, one), (-ry, rx)
+    inertia = excess * params.area, excess * params.area, excess * deformation.inertia
+    drag = excess * deformation.inertia_rate * state.angular_velocity
+    push = *state.load.unbind(-1), -drag
+    freedoms = [Freedom(axis, units[axis], inertia[axis], push[axis]) for axis in motion.free_axes]
+    return Surface(rates, velocity, freedoms)
 
 
-def slice_markers(outlines: Outlines) -> list[slice]:
-    """Return where the markers of each body are among all."""
-    numbers = [markers.position.shape[1] for markers in outlines.markers]
-    return [slice(end - n, end) for end, n in zip(accumulate(numbers), numbers, strict=True)]
+def eliminate(matrix: Sequence[Sequence[Tensor | float]], right: Sequence[Tensor]) -> list[Tensor]:
+    """Solve a small system of ``[B]`` tensors; plain zeros in ``matrix`` cost nothing.
+
+    Elimination without pivoting: the matrix is added mass plus excess mass, positive definite.
+    """
+    rows, values = [list(row) for row in matrix], list(right)
+    size = len(values)
+    for k in range(size):
+        for i in range(k + 1, size):
+            if not _is_zero(rows[i][k]):
+                factor = rows[i][k] / rows[k][k]
+                for j in range(k + 1, size):
+                    if not _is_zero(rows[k][j]):
+                        rows[i][j] = rows[i][j] - factor * rows[k][j]
+                values[i] = values[i] - factor * values[k]
+    for i in reversed(range(size)):
+        for j in range(i + 1, size):
+            if not _is_zero(rows[i][j]):
+                values[i] = values[i] - rows[i][j] * values[j]
+        values[i] = values[i] / rows[i][i]
+    return values
+
+
+def _is_zero(entry: Tensor | float) -> bool:
+    return not isinstance(entry, Tensor) and entry == 0.0

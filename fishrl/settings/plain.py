@@ -125,6 +125,8 @@ class _Builder:
     def make(self, node: Any, kinds: tuple[type, ...], *, path: str, default: Any = None) -> Any:
         """Return the object of a node, or None after an error."""
         prefix = f"{path}." if path else ""
+        if isinstance(node, str) and (words := list_words(*kinds)):
+            return self._make_named(node, words, path, kinds[0])
         try:
             kind = self._find_kind(node, kinds, default)
         except ValueError as error:
@@ -198,7 +200,7 @@ class _Builder:
         others = [kind for kind in _list_kinds(hint) if kind not in words.values()]
         more = "".join(f", or give {path}.{_list_required(kind)[0]}=..." for kind in others)
         reason = f"must be one of {', '.join(words)}{more}{suggest(word, words)}"
-        self.errors.append(f"{path} = {word!r}: {reason}")
+        self.errors.append(f"{path} = {word!r}: {reason}" if path else f"{word!r}: {reason}")
         return None
 
     def _pick(self, kind: type[Enum], word: str, path: str) -> Enum | None:

@@ -26,7 +26,7 @@ from fishrl.modules import (
     bang_bang,
 )
 from fishrl.modules.gait_controllers import FrequencyController
-from fishrl.physics.flow import Coupling
+from fishrl.physics import BounceBack
 from fishrl.settings import suggest
 
 #: Makes a policy for a task, given the seed of its random numbers.
@@ -125,12 +125,12 @@ def make_intercept(task: Any, seed: int) -> InterceptPolicy:
 
     Cruising speed (L / T) and radius of the tightest turn (speed in a turn of 15° per T / its rate)
     are measured by ``experiments.validation.turning.turn(gain=None, num_before=8, num_turns=6,
-    coupling="bounce-back")["speed"]``, at L = 32 with ``body_length=32, reynolds=2000,
+    skin="bounce-back")["speed"]``, at L = 32 with ``body_length=32, reynolds=2000,
     max_wall_speed=0.1``. Those of the immersed boundary are of L = 50, those of a fish that bends
     by 0.3 L of L = 32.
     """
     speed_bl, turn_radius_bl = 0.4, 1.7
-    if task.coupling is Coupling.BOUNCE_BACK:
+    if task.skin == BounceBack():
         speed_bl, turn_radius_bl = (0.57, 2.7) if task.body_length > 40 else (0.45, 2.3)
     if task.bends:
         speed_bl, turn_radius_bl = 0.4, 2.5

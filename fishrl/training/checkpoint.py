@@ -24,7 +24,7 @@ from fishrl.training.plain_files import Count, Stored, Tree, read_plain
 from fishrl.training.policy_spec import CHECKED, PolicySpec
 from fishrl.training.policy_zoo import find_folder
 from fishrl.training.recognition import locate
-from fishrl.training.run_folder import adopt_config, refuse_many
+from fishrl.training.run_folder import refuse_many
 
 MANIFEST, SUMS = "manifest.json", "SHA256SUMS"
 
@@ -164,7 +164,7 @@ class Checkpoint:
     @cached_property
     def config(self) -> dict[str, Any]:
         """Settings of the run, see ``Plan.from_config``."""
-        return locate(adopt_config(self.manifest.metadata.config), self.path)
+        return locate(self.manifest.metadata.config, self.path)
 
     @cached_property
     def files(self) -> dict[str, Path]:

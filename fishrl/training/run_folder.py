@@ -131,18 +131,7 @@ def refuse_many(folder: Path, *, setting: str) -> None:
 def read_config(path: Path) -> dict[str, Any]:
     """Read the ``config.yaml`` of a run; raise ValueError if it holds no settings."""
     config = read_plain(path, Tree, what="the configuration of a run")
-    return locate(adopt_config(config), path.parent)
-
-
-def adopt_config(config: dict[str, Any]) -> dict[str, Any]:
-    """Return stored settings, with the immersed boundary in a task that names no coupling.
-
-    It was the only one of tasks before they had the setting, and not the default since.
-    """
-    task = config.get("task")
-    if not isinstance(task, dict) or "coupling" in task:
-        return config
-    return {**config, "task": {**task, "coupling": "IMPLICIT"}}
+    return locate(config, path.parent)
 
 
 class _Summary(Stored, extra="allow"):

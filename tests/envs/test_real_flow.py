@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Flows, Predation, PredationPair, make_env
-from fishrl.physics import Coupling
+from fishrl.physics import ImmersedBoundary
 from tests.envs.conftest import SMALL, act, make_flows, read_flows
 from tests.physics.flows import make_tank
 
@@ -83,7 +83,7 @@ def test_pair_that_meets_ends_its_episode_without_divergence() -> None:
 def test_compiled_rows_on_several_cores_equal_single_rows() -> None:
     """In the tank of ``tests/physics``, whose code another test compiles."""
     tank = TINY | {"body_length": 24, "reynolds": 800.0, "max_wall_speed": 0.1}
-    tank |= {"domain_bl": (4.0, 3.0), "start_x_bl": (2.5, 2.9), "coupling": Coupling.IMPLICIT}
+    tank |= {"domain_bl": (4.0, 3.0), "start_x_bl": (2.5, 2.9), "skin": ImmersedBoundary()}
     task = Predation(**tank, control_interval_T=0.5)
     assert task.flow_config().get_structure() == make_tank().get_structure()
     starts = task.sample_starts(2, torch.Generator().manual_seed(2))

@@ -35,7 +35,7 @@ class OwnPair(PairTask):
 
     @cached_property
     def fish(self) -> Fish:
-        return OwnFish(body_length=self.body_length, **self.coupling.body_settings)
+        return OwnFish(body_length=self.body_length)
 
 
 LINE = LateralLine(is_averaged=True, features=("shear",))

@@ -9,6 +9,7 @@ import torch
 from experiments.validation import sheared_ellipse, slip
 from experiments.validation.invariance import BASE, MIRRORED, compare
 from experiments.validation.oscillating_cylinder import fit_force
+from fishrl.physics import ImmersedBoundary
 from fishrl.physics.flow import make_params
 from fishrl.physics.step import step
 
@@ -39,7 +40,7 @@ def test_measured_slip_equals_reported_slip() -> None:
     reported = float(step(state, config, params).bodies[0].slip_error)
     assert reported > 1e-6
     torch.testing.assert_close(measured, reported, rtol=1e-9, atol=0.0)
-    exact = replace(config, force_solve=slip.EXACT)
+    exact = replace(config, skin=ImmersedBoundary(force_solve=slip.EXACT))
     for dtype, limit in ((torch.float64, 1e-12), (torch.float32, 1e-6)):
         rounded = state._replace(f=state.f.to(dtype))
         assert slip.measure_slip(rounded, exact, params) < limit * speed

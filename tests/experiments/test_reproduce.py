@@ -11,7 +11,7 @@ import pytest
 from experiments import paper, reproduce
 from experiments.reproduce import Job, Record, list_jobs, run_job
 from fishrl.__main__ import list_programs
-from fishrl.physics.flow import Coupling
+from fishrl.physics import ImmersedBoundary
 from fishrl.programs.sweeps.jobs import plan_jobs
 from fishrl.training import open_run
 from fishrl.training.run_folder import write_json
@@ -30,7 +30,7 @@ def test_jobs_of_scale_are_valid_commands(name: str, tmp_path: Path) -> None:
             package = "fishrl.programs" if program in list_programs() else "experiments"
             plan = import_module(f"{package}.{program.replace('-', '_')}").main.read(words)
         if program in ("train", "train-lateral-line"):  # the method of the paper
-            assert plan.task.coupling is Coupling.IMPLICIT
+            assert plan.task.skin == ImmersedBoundary()
 
 
 def begin(words: Sequence[str]) -> Path:

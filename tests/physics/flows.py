@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fishrl.physics import FlowConfig, FlowState, InPlaceSolver, Scales
+from fishrl.physics import FlowConfig, FlowState, ImmersedBoundary, InPlaceSolver, Scales
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.flow import FlowParams, make_params
@@ -16,7 +16,8 @@ SCALES = Scales.from_budget(body_length=24, reynolds=800.0, max_wall_speed=0.1)
 
 
 def make_tank(**changes: Any) -> FlowConfig:
-    """Return a tank of 4 L x 3 L for the fish of ``SCALES``."""
+    """Return a tank of 4 L x 3 L for the fish of ``SCALES``, with an immersed boundary."""
+    changes = {"skin": ImmersedBoundary()} | changes
     return make_swimmer_config(SCALES, length_bl=4, height_bl=3, **changes)
 
 

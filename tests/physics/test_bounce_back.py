@@ -13,27 +13,27 @@ from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.boundaries import Boundaries
 from fishrl.physics.cases import PERIODIC
 from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.flow import Coupling, make_params, make_rest, make_uniform
+from fishrl.physics.flow import make_params, make_rest, make_uniform
 from fishrl.physics.geometry import locate_markers
 from fishrl.physics.lattice import CX, CY
-from fishrl.physics.links import MARGIN, Links, find_links, to_links, to_markers
+from fishrl.physics.skins import BounceBack, ImmersedBoundary, Skin
+from fishrl.physics.skins.links import MARGIN, Links, find_links, to_links, to_markers
 from tests.physics.flows import advance, start_solver
 
 SIZE = 64
 MIDDLE = torch.tensor([[30.3, 29.6]], dtype=torch.float64)
-SHARP = Coupling.BOUNCE_BACK.body_settings
 ONE = torch.ones(1, dtype=torch.float64)
 
 
 def make_cylinder(motion: Motion, **changes: object) -> FlowConfig:
-    body = Cylinder(diameter=16, motion=motion, **SHARP)
+    body = Cylinder(diameter=16, motion=motion)
     config = FlowConfig(
         width=SIZE,
         height=SIZE,
         tau=0.6,
         bodies=(body,),
         boundaries=PERIODIC,
-        coupling=Coupling.BOUNCE_BACK,
+        skin=BounceBack(),
     )
     return replace(config, **changes)  # type: ignore[arg-type]
 
@@ -128,10 +128,10 @@ def test_a_body_carried_by_a_uniform_stream_leaves_it_unchanged(
     assert (body.position - MIDDLE)[0].tolist() == pytest.approx([4.2, -1.8], rel=tolerance)
 
 
-def push(coupling: Coupling) -> BodyState:
+def push(skin: Skin) -> BodyState:
     """Return a body as light as water that a load has pushed for a while."""
-    cylinder = Cylinder(diameter=16, motion=Free(), **coupling.body_settings)
-    config = make_cylinder(Free(), coupling=coupling, bodies=(cylinder,))
+    cylinder = Cylinder(diameter=16, motion=Free())
+    config = make_cylinder(Free(), skin=skin, bodies=(cylinder,))
     body = make_body(MIDDLE, 0.0 * ONE, 0.0 * ONE)
     body = body._replace(load=torch.tensor([[0.05, 0.02]], dtype=torch.float64))
     state = advance(FlowState(make_rest(config, 1), (body,)), config, 60)
@@ -140,12 +140,12 @@ def push(coupling: Coupling) -> BodyState:
 
 def test_a_pushed_body_obeys_newton_and_moves_as_with_the_immersed_boundary() -> None:
     """Added mass included: the water takes about half of the momentum."""
-    body = push(Coupling.BOUNCE_BACK)
+    body = push(BounceBack())
     area = math.pi * 64
     given = 60 * body.load + body.impulse
     torch.testing.assert_close(area * body.velocity, given, rtol=1e-3, atol=1e-4)
     assert 0.3 < float(body.velocity[0, 0]) * area / 3.0 < 0.7
-    other = push(Coupling.IMPLICIT)
+    other = push(ImmersedBoundary())
     torch.testing.assert_close(body.velocity, other.velocity, rtol=0.1, atol=0.0)
 
 
@@ -175,7 +175,7 @@ def test_a_turning_cylinder_drags_the_water_as_stokes_second_problem() -> None:
 
 def test_two_bodies_in_a_stream_are_the_same_in_the_in_place_step() -> None:
     """A still cylinder and one that the wake moves."""
-    still = Cylinder(diameter=12, motion=Fixed(), **SHARP)
+    still = Cylinder(diameter=12, motion=Fixed())
     free = replace(still, motion=Free())
     config = make_cylinder(Free(), bodies=(free, still), stream_speed=0.05)
     places = torch.tensor([[[40.2, 30.1], [18.7, 33.4]]], dtype=torch.float64)
@@ -193,15 +193,14 @@ def test_two_bodies_in_a_stream_are_the_same_in_the_in_place_step() -> None:
         assert float((got.position - expected.position).abs().max()) < 1e-4
 
 
-def test_markers_too_far_apart_are_refused_with_the_remedy() -> None:
-    with pytest.raises(ValueError, match=r"or give marker_spacing = 0\.5"):
-        FlowConfig(
-            width=64,
-            height=64,
-            tau=0.6,
-            bodies=(Cylinder(diameter=16),),
-            coupling=Coupling.BOUNCE_BACK,
-        )
+def test_a_body_of_another_skin_is_refused_by_name_with_the_remedy() -> None:
+    soft = ImmersedBoundary().fit(Cylinder(diameter=16))
+    with pytest.raises(ValueError, match=r"made for skin = ImmersedBoundary\(\).*give FlowConfig"):
+        make_cylinder(Fixed(), bodies=(soft,))
+    with pytest.raises(ValueError, match=r"2\.0. nodes apart.*leave out marker_spacing"):
+        make_cylinder(Fixed(), bodies=(Cylinder(diameter=16, marker_spacing=2.0),))
+    with pytest.raises(ValueError, match=r"inset = 0\.45: must be 0.*leave out inset"):
+        make_cylinder(Fixed(), bodies=(Cylinder(diameter=16, inset=0.45),))
 
 
 @pytest.mark.parametrize("corner", [(MARGIN, MARGIN), (SIZE - 1 - MARGIN, SIZE - 1 - MARGIN)])
@@ -228,7 +227,7 @@ def test_a_compiled_still_cylinder_feels_the_same_as_in_the_readable_step() -> N
     """
     speed = 0.1 / 1.06
     kick = Fixed(kick_speed=0.3 * speed, kick_steps=round(30 / speed))
-    cylinder = Cylinder(diameter=10, motion=kick, **SHARP)
+    cylinder = Cylinder(diameter=10, motion=kick)
     size = {"width": 160, "height": 80, "boundaries": Boundaries.make_stream()}
     config = make_cylinder(kick, bodies=(cylinder,), stream_speed=speed, **size)
     solver = start_solver(config, MIDDLE, velocity=(1.0, 0.0), compile=True)

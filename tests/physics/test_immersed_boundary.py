@@ -8,19 +8,14 @@ import torch
 
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.state import make_body
-from fishrl.physics.delta import SPECTRUM
 from fishrl.physics.geometry import deform_body, place_markers
-from fishrl.physics.immersed_boundary import (
-    DirectSolve,
-    IterativeForcing,
-    interpolate,
-    make_stencil,
-    overlap_markers,
-)
-from fishrl.physics.step import gather, spread
+from fishrl.physics.skins import DirectSolve, ImmersedBoundary, IterativeForcing
+from fishrl.physics.skins.delta import SPECTRUM, interpolate, make_stencil, overlap_markers
+from fishrl.physics.skins.immersed_boundary import gather, spread
 
 SIZE = 96
-FISH = Fish(body_length=50)
+FIT = ImmersedBoundary().fit
+FISH = FIT(Fish(body_length=50))
 
 
 def make_markers(heading: float = 0.7, fish: Fish = FISH) -> torch.Tensor:
@@ -53,7 +48,7 @@ def test_coupling_matrix_equals_spread_then_interpolate() -> None:
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, math.pi / 2])
-@pytest.mark.parametrize("fish", [FISH, Fish(body_length=50, thickness=0.02, inset=1.0)])
+@pytest.mark.parametrize("fish", [FISH, FIT(Fish(body_length=50, thickness=0.02, inset=1.0))])
 def test_the_kernels_spectrum_bounds_the_coupling(heading: float, fish: Fish) -> None:
     """Also where the sides of a body meet, as the inset of a thin one lets them."""
     stencil = make_stencil(make_markers(heading, fish), SIZE, SIZE, torch.float64)
@@ -67,7 +62,7 @@ def measure_slip(solve: IterativeForcing | DirectSolve) -> float:
     markers = make_markers()
     overlap = overlap_markers(make_stencil(markers, SIZE, SIZE, torch.float64))
     target = torch.cos(0.1 * markers[..., :1]).mT
-    _, rest = solve(solve.prepare(overlap, Fish(body_length=50).make_params().spacing), target)
+    _, rest = solve(solve.prepare(overlap, FISH.make_params().spacing), target)
     return float(rest.norm() / target.norm())
 
 

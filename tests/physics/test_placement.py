@@ -9,14 +9,16 @@ import pytest
 import torch
 
 from fishrl.physics import (
+    BounceBack,
     Boundaries,
-    Coupling,
     Cylinder,
     Driven,
     Ellipse,
     Fish,
     FlowConfig,
+    ImmersedBoundary,
     InPlaceSolver,
+    Skin,
 )
 from fishrl.physics.cases import PERIODIC
 
@@ -24,7 +26,7 @@ EVERY = torch.tensor([True, True])
 
 
 def make_solver(*bodies: Cylinder | Ellipse | Fish) -> InPlaceSolver:
-    config = FlowConfig(width=100, height=60, tau=0.6, bodies=bodies)
+    config = FlowConfig(width=100, height=60, tau=0.6, bodies=bodies, skin=ImmersedBoundary())
     return InPlaceSolver(config=config, num_envs=2, compile=False)
 
 
@@ -93,19 +95,22 @@ def test_several_bodies_need_a_place_before_they_move() -> None:
 
 
 EDGES = PERIODIC, Boundaries(), Boundaries.make_stream()
-CASES = [(number, *case) for number, case in enumerate(product(Coupling, EDGES))]
+CASES = [
+    (number, *case)
+    for number, case in enumerate(product((BounceBack(), ImmersedBoundary()), EDGES))
+]
 
 
-@pytest.mark.parametrize(("number", "coupling", "edges"), CASES)
+@pytest.mark.parametrize(("number", "skin", "edges"), CASES)
 def test_a_body_that_crosses_an_edge_is_named_as_the_reason(
-    number: int, coupling: Coupling, edges: Boundaries, caplog: pytest.LogCaptureFixture
+    number: int, skin: Skin, edges: Boundaries, caplog: pytest.LogCaptureFixture
 ) -> None:
     """With an immersed boundary the flow is not finite soon after."""
     angle = Random(number).uniform(0.0, 2.0 * pi)
     motion = Driven(velocity=(0.29 * cos(angle), 0.29 * sin(angle)))
-    body = Cylinder(diameter=8, motion=motion, **coupling.body_settings)
+    body = Cylinder(diameter=8, motion=motion)
     flow = FlowConfig(width=24, height=24, tau=0.8, stream_speed=0.1, boundaries=edges)
-    flow = replace(flow, bodies=(body,), coupling=coupling)
+    flow = replace(flow, bodies=(body,), skin=skin)
     solver = InPlaceSolver(config=flow, num_envs=1, compile=False)
     for _ in range(4):
         solver.advance_(30)

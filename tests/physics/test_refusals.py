@@ -27,7 +27,7 @@ from fishrl.physics.bodies.motion import Bending, Driven, Free
 from fishrl.physics.boundaries import Side
 from fishrl.physics.collision import Rates
 from fishrl.physics.flow import make_rest
-from fishrl.physics.immersed_boundary import IterativeForcing
+from fishrl.physics.skins import ImmersedBoundary, IterativeForcing
 from fishrl.physics.step import step
 
 STEEP = Gait(amplitude=0.2, envelope=(0.0, 1.0, 0.0), wavenumber=2 * math.pi)
@@ -51,12 +51,12 @@ fish = partial(Fish, body_length=50)
         (lambda: flow(tau=0.5), "tau = 0.50000 lies outside the validated range"),
         (lambda: flow(bodies=(fish(body_length=70),)), "does not fit into 128 x 64 nodes"),
         (lambda: flow(bodies=(Cylinder(diameter=9), FISH)), "the fish must come first"),
-        (lambda: flow(bodies=(DENSE,)), "0.25 nodes apart"),
+        (lambda: flow(bodies=(DENSE,), skin=ImmersedBoundary()), "0.25 nodes apart"),
         (
             lambda: flow(sponges=(Sponge(length=129),)),
             "Sponge of 129 nodes does not fit into 128 x",
         ),
-        (lambda: flow(bodies=(LIGHT,)), "give coupling = .*BOUNCE"),
+        (lambda: flow(bodies=(LIGHT,), skin=ImmersedBoundary()), r"give skin = BounceBack\(\)"),
         (lambda: flow(sponges=(Sponge(length=65, side=Side.TOP),)), "Sponge of 65 nodes does not"),
         (lambda: flow(boundaries=FAST), "an edge imposes 0.500 nodes per step"),
         (lambda: IterativeForcing(relaxation=2.0), r"relaxation = 2.0: .*stable up to 1.90"),

@@ -12,16 +12,18 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics import (
     C_START,
+    BounceBack,
     Boundaries,
-    Coupling,
     Cylinder,
     Fish,
     FlowConfig,
     FlowState,
     Foil,
     Free,
+    ImmersedBoundary,
     Scales,
     Section,
+    Skin,
 )
 from fishrl.physics.bodies.motion import Bending, Commanded, Surging, Towed
 from fishrl.physics.bodies.state import make_body
@@ -36,9 +38,9 @@ PERIOD = 4 * round(SCALES.period / 4)
 EDGES = Boundaries.make_stream()
 
 
-def make_flows(fish: Fish, coupling: Coupling, num: int) -> tuple[FlowConfig, FlowParams]:
+def make_flows(fish: Fish, skin: Skin, num: int) -> tuple[FlowConfig, FlowParams]:
     config = make_swimmer_config(
-        SCALES, length_bl=4, height_bl=3, bodies=(fish,), coupling=coupling,
+        SCALES, length_bl=4, height_bl=3, bodies=(fish,), skin=skin,
         boundaries=EDGES, stream_speed=0.01,
     )  # fmt: skip
     return config, make_params([config] * num)
@@ -50,12 +52,12 @@ def measure(state: FlowState) -> Tensor:
     return torch.cat((body.position, body.work[:, None]), 1)
 
 
-def swim(values: Tensor, coupling: Coupling, num_steps: int, **settings: Any) -> Tensor:
+def swim(values: Tensor, skin: Skin, num_steps: int, **settings: Any) -> Tensor:
     """Return ``measure`` of free fish in a stream; values ``[B, 10]`` are those of ``SWIM``."""
     tau, speed, frequency, amplitude, x, heading = values[:, :6].unbind(1)
     one = torch.ones_like(x)
-    fish = Fish(body_length=16, motion=Bending(), **coupling.body_settings)
-    config, params = make_flows(fish, coupling, len(values))
+    fish = Fish(body_length=16, motion=Bending())
+    config, params = make_flows(fish, skin, len(values))
     params = params._replace(tau=tau, stream_speed=speed)
     body = make_body(torch.stack((x, 24.3 * one), 1), heading, frequency)
     body = body._replace(amplitude=amplitude, amplitude_goal=amplitude, beats=2.0 * one)
@@ -77,7 +79,7 @@ def swim(values: Tensor, coupling: Coupling, num_steps: int, **settings: Any) ->
 
 def escape(
     values: Tensor,
-    coupling: Coupling,
+    skin: Skin,
     num_steps: int,
     *,
     beats: float = 0.5,
@@ -87,8 +89,8 @@ def escape(
 
     values ``[B, 8]`` are those of ``ESCAPE``.
     """
-    larva = Fish(body_length=16, motion=Free(), strokes=C_START, **coupling.body_settings)
-    config, params = make_flows(larva, coupling, len(values))
+    larva = Fish(body_length=16, motion=Free(), strokes=C_START)
+    config, params = make_flows(larva, skin, len(values))
     (own,) = params.bodies
     back = torch.cat((-values[:, :3], torch.zeros_like(values[:, :4])), 1)
     curve = own.curve._replace(change=torch.stack((values[:, :7], back), 1), phase=values[:, 7])
@@ -108,14 +110,14 @@ ALIKE = torch.tensor([[0.3, 1.0, 0.01]], dtype=torch.float64)  # x, y and work
 
 #: Here a bent larva leaves a node from both sides in the second step.
 unfold = partial(escape, beats=1.3542068, place=(32.2659817, 24.6740978, 5.9995065))
-SOFT, SHARP = Coupling.IMPLICIT, Coupling.BOUNCE_BACK
+SOFT, SHARP = ImmersedBoundary(), BounceBack()
 
 
 @pytest.mark.parametrize(
-    ("motion", "at", "num_steps", "coupling"),
+    ("motion", "at", "num_steps", "skin"),
     [
-        *((swim, SWIM, 20, coupling) for coupling in (SOFT, SHARP)),
-        *((escape, ESCAPE, 20, coupling) for coupling in (SOFT, SHARP)),
+        *((swim, SWIM, 20, skin) for skin in (SOFT, SHARP)),
+        *((escape, ESCAPE, 20, skin) for skin in (SOFT, SHARP)),
         (unfold, ESCAPE, 8, SHARP),
         pytest.param(swim, SWIM, PERIOD, SOFT, marks=pytest.mark.slow),
         pytest.param(swim, SWIM, PERIOD, SHARP, marks=pytest.mark.slow),
@@ -124,18 +126,18 @@ SOFT, SHARP = Coupling.IMPLICIT, Coupling.BOUNCE_BACK
     ],
 )
 def test_gradients_equal_central_differences(
-    motion: Any, at: list[float], num_steps: int, coupling: Coupling
+    motion: Any, at: list[float], num_steps: int, skin: Skin
 ) -> None:
     """Of viscosity, stream, gait, place, bends and strokes, through part of a beat or all."""
     values = torch.tensor([at], dtype=torch.float64, requires_grad=True)
-    with pytest.warns(match="Coupling.IMPLICIT") if coupling is SHARP else nullcontext():
-        result = (motion(values, coupling, num_steps) * ALIKE).sum()
+    with pytest.warns(match="ImmersedBoundary") if skin is SHARP else nullcontext():
+        result = (motion(values, skin, num_steps) * ALIKE).sum()
     (got,) = torch.autograd.grad(result, values)[0]
     # a sharp skin has kinks where a node comes to lie half a link away: stay between them
-    largest = 2e-7 if coupling is SHARP and num_steps > 20 else 3e-6
+    largest = 2e-7 if skin is SHARP and num_steps > 20 else 3e-6
     shift = torch.diag((1e-5 * values[0].detach().abs()).clamp(max=largest))
     with torch.no_grad():
-        there = (motion(values + torch.cat((shift, -shift)), coupling, num_steps) * ALIKE).sum(1)
+        there = (motion(values + torch.cat((shift, -shift)), skin, num_steps) * ALIKE).sum(1)
     rise = (there[: len(at)] - there[len(at) :]) / (2.0 * shift.diagonal())
     assert rise.abs().min() > 1e-6
     assert ((got - rise) / rise).abs().max() < 1e-5
@@ -144,12 +146,12 @@ def test_gradients_equal_central_differences(
 def test_segments_change_memory_and_not_the_gradient() -> None:
     values = torch.tensor([SWIM], dtype=torch.float64, requires_grad=True)
     whole, parts = (
-        torch.autograd.grad(swim(values, Coupling.IMPLICIT, 20, segment=size).sum(), values)[0]
+        torch.autograd.grad(swim(values, ImmersedBoundary(), 20, segment=size).sum(), values)[0]
         for size in (20, 5)
     )
     assert torch.equal(whole, parts)
     fish = Fish(body_length=16)
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, bodies=(fish,))
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, bodies=(fish,), skin=SOFT)
     one = torch.ones(1, dtype=torch.float64)
     place = torch.tensor([[32.0, 24.0]], dtype=torch.float64)
     state = FlowState(make_rest(config, 1), (make_body(place, math.pi * one, one / PERIOD),))
@@ -174,7 +176,7 @@ def test_numbers_of_steps_that_do_not_fit_are_refused(num_steps: int, interval: 
 def test_compiled_steps_have_the_same_gradient() -> None:
     values = torch.tensor([SWIM], dtype=torch.float64, requires_grad=True)
     eager, fast = (
-        torch.autograd.grad(swim(values, Coupling.BOUNCE_BACK, 20, compile=c).sum(), values)[0]
+        torch.autograd.grad(swim(values, BounceBack(), 20, compile=c).sum(), values)[0]
         for c in (False, True)
     )
     torch.testing.assert_close(fast, eager, rtol=1e-8, atol=0.0)
@@ -195,22 +197,22 @@ def test_compiled_graphs_can_be_retained() -> None:
     torch.testing.assert_close(got, expected)
 
 
-@pytest.mark.parametrize("coupling", [Coupling.IMPLICIT, Coupling.BOUNCE_BACK])
-def test_functional_transforms(coupling: Coupling) -> None:
+@pytest.mark.parametrize("skin", [SOFT, SHARP])
+def test_functional_transforms(skin: Skin) -> None:
     """Forward derivatives of rows that vmap batches, and reverse ones without segments."""
     (values,) = torch.tensor([SWIM], dtype=torch.float64)
 
     def go(values: Tensor) -> Tensor:
-        return swim(values[None], coupling, 4, segment=4)[0]
+        return swim(values[None], skin, 4, segment=4)[0]
 
     both = torch.stack((values, 1.01 * values))
-    torch.testing.assert_close(torch.func.vmap(go)(both), swim(both, coupling, 4))
+    torch.testing.assert_close(torch.func.vmap(go)(both), swim(both, skin, 4))
     forward, reverse = torch.func.jacfwd(go)(values), torch.func.jacrev(go)(values)
     torch.testing.assert_close(forward, reverse, rtol=1e-9, atol=1e-12)
     with pytest.raises(RuntimeError, match="saved tensor hooks"):
-        torch.func.grad(lambda v: swim(v[None], coupling, 20).sum())(values)
+        torch.func.grad(lambda v: swim(v[None], skin, 20).sum())(values)
     with pytest.raises(ValueError, match="give compile = False"):
-        torch.func.jvp(lambda v: swim(v, coupling, 4, compile=True), (both,), (both,))
+        torch.func.jvp(lambda v: swim(v, skin, 4, compile=True), (both,), (both,))
 
 
 LARVA = {"section": Section.LARVA, "thickness": 0.127, "strokes": C_START}
@@ -225,14 +227,12 @@ BODIES = {
 }
 
 
-@pytest.mark.parametrize("coupling", Coupling)
+@pytest.mark.parametrize("skin", [SOFT, SHARP])
 @pytest.mark.parametrize("name", BODIES)
-def test_no_gradient_from_rest_is_infinite(name: str, coupling: Coupling) -> None:
+def test_no_gradient_from_rest_is_infinite(name: str, skin: Skin) -> None:
     """Compiled gradients differentiate every output, so that 0 times infinity would spread."""
-    body = BODIES[name](**coupling.body_settings)
-    config = make_swimmer_config(
-        SCALES, length_bl=4, height_bl=3, bodies=(body,), coupling=coupling
-    )
+    body = BODIES[name]()
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, bodies=(body,), skin=skin)
     one = torch.ones(1, dtype=torch.float64)
     start = make_body(torch.tensor([[32.2, 24.3]]).double(), math.pi * one, one / PERIOD)
     state = FlowState(make_rest(config, 1), (start,), 0.0 * one)

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 
-from fishrl.physics.flow import Coupling
 from fishrl.programs import evaluate, view
 from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import describe
 from fishrl.training.checkpoint import save_checkpoint
-from fishrl.training.plan import Plan
-from fishrl.training.policies import load_plan
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.run_folder import read_config, write_yaml
+from fishrl.training.run_folder import write_yaml
 from tests.experiments.test_gait import SETTINGS
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -40,20 +36,6 @@ def store(folder: Path, *left_out: str) -> str:
         config=config,
     )
     return f"checkpoint={folder}"
-
-
-def test_a_stored_task_that_names_no_coupling_keeps_the_immersed_boundary(tmp_path: Path) -> None:
-    checkpoint = store(tmp_path, "coupling")
-    read: list[Any] = [
-        evaluate.main.read([checkpoint]).task,
-        evaluate.main.read([checkpoint, "task.time_limit=7"]).task,
-        TRAINING.read([f"resume={tmp_path}"]).task,
-        load_plan(tmp_path).task,
-        Plan.from_config(read_config(tmp_path / "config.yaml")).task,
-    ]
-    assert {task.coupling for task in read} == {Coupling.IMPLICIT}
-    store(tmp_path)
-    assert evaluate.main.read([checkpoint]).task.coupling is Coupling.BOUNCE_BACK
 
 
 CHANGES = [

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from fishrl.envs import Flows, Predation, make_env
-from fishrl.physics import Coupling, DCylinder, FlowConfig, InPlaceSolver
+from fishrl.physics import BounceBack, DCylinder, FlowConfig, ImmersedBoundary, InPlaceSolver, Skin
 from tests.envs.conftest import CONTINUOUS
 from tests.envs.test_real_flow import TINY
 from tests.training.conftest import QUICK, Toy, read_rows
@@ -43,13 +43,13 @@ STATES: dict[str, State] = {
 ACTIONS = torch.tensor([[[-0.5, 0.5]], [[1.0, 1.0]]])
 
 
-def step_env(coupling: Coupling, state_of: Callable[[], State]) -> list[dict[Any, torch.Tensor]]:
+def step_env(skin: Skin, state_of: Callable[[], State]) -> list[dict[Any, torch.Tensor]]:
     """Make, reset, step twice and roll out, each call in a state of its own; return all results.
 
     Actions come from a policy that learns, so that they require gradients.
     """
     task = Predation(
-        **TINY, control=CONTINUOUS, control_interval_T=0.25, checks_per_action=6, coupling=coupling
+        **TINY, control=CONTINUOUS, control_interval_T=0.25, checks_per_action=6, skin=skin
     )
     with state_of()():
         env = make_env(task=task, flows=Flows(num_envs=1, compile=False), seed=3)
@@ -67,10 +67,10 @@ def step_env(coupling: Coupling, state_of: Callable[[], State]) -> list[dict[Any
     return [*(dict(td.flatten_keys().items()) for td in results), flows]
 
 
-def step_solver(coupling: Coupling, state_of: Callable[[], State]) -> list[dict[Any, torch.Tensor]]:
+def step_solver(skin: Skin, state_of: Callable[[], State]) -> list[dict[Any, torch.Tensor]]:
     """Make, reset and advance flows, each call in a state of its own; return all results."""
-    body = DCylinder(diameter=8, **coupling.body_settings)
-    config = FlowConfig(width=48, height=40, tau=0.6, bodies=(body,), coupling=coupling)
+    body = DCylinder(diameter=8)
+    config = FlowConfig(width=48, height=40, tau=0.6, bodies=(body,), skin=skin)
     with state_of()():
         solver = InPlaceSolver(config=config, num_envs=2, compile=False)
     rows = torch.tensor([True, False])
@@ -91,9 +91,9 @@ def step_solver(coupling: Coupling, state_of: Callable[[], State]) -> list[dict[
 def plain() -> dict[Any, list[dict[Any, torch.Tensor]]]:
     """Return what flows do without any global state."""
     return {
-        (run, coupling): run(coupling, lambda: torch.enable_grad)
+        (run, skin): run(skin, lambda: torch.enable_grad)
         for run in (step_env, step_solver)
-        for coupling in (Coupling.IMPLICIT, Coupling.BOUNCE_BACK)
+        for skin in (ImmersedBoundary(), BounceBack())
     }
 
 
@@ -103,14 +103,14 @@ def test_flows_are_the_same_in_every_global_state_of_torch(
     name: str, run: Any, plain: dict[Any, list[dict[Any, torch.Tensor]]]
 ) -> None:
     draw = random.Random(f"{name} {run.__name__}")
-    coupling = draw.choice([Coupling.IMPLICIT, Coupling.BOUNCE_BACK])
+    skin = draw.choice([ImmersedBoundary(), BounceBack()])
     kinds = [STATES[name], torch.enable_grad]
     drawn: list[State] = [STATES[name]]  # at least once, then alternating at random
 
     def state_of() -> State:
         return drawn.pop() if drawn else draw.choice(kinds)
 
-    for got, expected in zip(run(coupling, state_of), plain[run, coupling], strict=True):
+    for got, expected in zip(run(skin, state_of), plain[run, skin], strict=True):
         assert got.keys() == expected.keys()
         for key, value in expected.items():
             assert got[key].dtype == value.dtype, key

@@ -30,7 +30,7 @@ from torchrl.envs import (
 from fishrl.envs import AbstractTask, Flows, Predation, make_env
 from fishrl.envs.control import Turn
 from fishrl.modules.controllers import LEAD_T
-from fishrl.physics.flow import Coupling
+from fishrl.physics import BounceBack, Skin
 
 STATE = ("position", "heading", "food", "direction", "age", "distance", "error", "start_index")
 
@@ -51,7 +51,7 @@ class ToyPredation:
     divergence_rate: float = 0.0
     banned_action: int = -1
     is_continuous: bool = False
-    coupling: Coupling = Coupling.BOUNCE_BACK
+    skin: Skin = BounceBack()  # noqa: RUF009 - frozen
 
     @property
     def num_actions(self) -> int:

@@ -28,9 +28,8 @@ class Fish(BodyConfig):
         keeps_length: whether the midline keeps its length (``midline.py``) instead of the paper's
             vertical shear (``shear.py``).
         strokes: curvatures that the midline follows instead of the gait; it then keeps its length.
-        inset: see ``BodyConfig``; 0 by default, since the tail is thinner than the kernel is wide.
-            On a coarse grid, 0.45 makes the fish faster, closer to its speed on a fine one (the
-            swimmer on the validation page).
+        inset: see ``BodyConfig``. With an immersed boundary on a coarse grid, 0.45 makes the fish
+            faster, closer to its speed on a fine one (the swimmer on the validation page).
         motion: degrees of freedom; by default the heading follows the command.
     """
 
@@ -40,10 +39,10 @@ class Fish(BodyConfig):
     gait: Gait = CARLING
     keeps_length: bool = False
     strokes: Strokes | None = None
-    inset: float = 0.0
     motion: Motion = Commanded()
 
     deforms: ClassVar[bool] = True
+    is_slender: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         slope = float(np.hypot(*self.gait.evaluate_modes(_COARSE, 1)[:2]).max())
@@ -118,7 +117,7 @@ class Fish(BodyConfig):
     def _make_midline(self, device: torch.device | str) -> MidlineParams:
         """Put points on the midline, four between neighbouring markers of one side."""
         places, spacing = self._place_markers()
-        half = self.num_markers // 2
+        half = len(places) // 2
         upper = np.clip(places[: half + 1, 0], 0.0, self.body_length)
         knots = np.concatenate(([0.0], upper, [self.body_length]))
         fine = np.interp(np.arange(4 * (half + 2) + 1) / 4.0, np.arange(half + 3), knots)

@@ -31,27 +31,31 @@ class BodyConfig(Settings, ABC):
     """A body in the flow.
 
     Args:
-        density_ratio: body density over fluid density; 1 is neutrally buoyant. What a body that the
-            flow moves may have depends on the coupling, see ``FlowConfig``.
-        marker_spacing: target distance of the markers along the outline, in nodes.
-        inset: how far the markers lie inside the outline, nodes. A marker's force is spread over
-            the nodes around it, so the effective body is 0.45 nodes larger than its markers'
-            outline (three-point kernel; measured on a cylinder, see the validation page; the idea
-            is Breugem's, 2012). Area, mass and gait follow the outline.
+        density_ratio: body density over fluid density; 1 is neutrally buoyant. With an immersed
+            boundary, a body that the flow moves must not be much lighter.
+        marker_spacing: target distance of the markers along the outline, in nodes; None takes the
+            one of the flow's skin, and half a node for a body without a flow.
+        inset: how far the markers lie inside the outline, nodes; None takes the one of the flow's
+            skin. Area, mass and gait follow the outline.
         num_markers: N; 0 derives it from the spacing. Bodies of different size in one batch need
             the same number.
+        skin: class of the skin that the markers are for; ``FlowConfig`` sets it.
         motion: what moves the body.
 
     Attributes:
         deforms: whether the outline changes its shape.
+        is_slender: whether it is thinner than an immersed boundary somewhere, so that its markers
+            must not lie inside.
     """
 
     deforms: ClassVar[bool] = False
+    is_slender: ClassVar[bool] = False
 
     density_ratio: Annotated[float, Field(gt=0)] = 1.0
-    marker_spacing: Annotated[float, Field(ge=0.5, le=2)] = 1.0
-    inset: Annotated[float, Field(ge=0, le=1)] = 0.45
+    marker_spacing: Annotated[float, Field(ge=0.5, le=2)] | None = None
+    inset: Annotated[float, Field(ge=0, le=1)] | None = None
     num_markers: NonNegativeInt = 0
+    skin: str = ""
     motion: Motion = Fixed()
 
     def __post_init__(self) -> None:
@@ -61,9 +65,8 @@ class BodyConfig(Settings, ABC):
                 f"not this {type(self).__name__}; take Commanded() or Free()"
             )
         self.check_speed(0.0)
-        if self.num_markers == 0:
-            counts = [max(8, round(s / self.marker_spacing)) for s in self._lengths]
-            object.__setattr__(self, "num_markers", sum(counts))
+        if self.num_markers == 0 and self.marker_spacing is not None:
+            object.__setattr__(self, "num_markers", self._count_markers())
 
     def compute_wall_speed(self, frequency: float) -> float:
         """Return the largest imposed speed of the surface, nodes per step.
@@ -102,6 +105,11 @@ class BodyConfig(Settings, ABC):
     def _lengths(self) -> list[float]:
         return [float(_measure_arc(piece)[-1]) for piece in self._pieces]
 
+    def _count_markers(self) -> int:
+        """Return N, on a body without a flow too."""
+        spacing = self.marker_spacing or 0.5
+        return self.num_markers or sum(max(8, round(s / spacing)) for s in self._lengths)
+
     @cached_property
     def _moments(self) -> tuple[float, Points, float]:
         """Area, centre of area and polar moment of area about it."""
@@ -122,7 +130,7 @@ class BodyConfig(Settings, ABC):
     @property
     def spacing(self) -> float:
         """Mean distance of the markers along the outline, nodes."""
-        return float(sum(self._lengths)) / self.num_markers
+        return float(sum(self._lengths)) / self._count_markers()
 
     @property
     def area(self) -> float:
@@ -145,10 +153,10 @@ class BodyConfig(Settings, ABC):
 
         Every corner of the outline has a marker; all are then moved inwards by ``inset``.
         """
-        lengths = np.array(self._lengths)
-        share = lengths / lengths.sum() * self.num_markers
+        lengths, num_markers = np.array(self._lengths), self._count_markers()
+        share = lengths / lengths.sum() * num_markers
         counts = np.floor(share + 1e-9).astype(int)
-        for i in np.argsort(counts - share, kind="stable")[: self.num_markers - counts.sum()]:
+        for i in np.argsort(counts - share, kind="stable")[: num_markers - counts.sum()]:
             counts[i] += 1
         pieces = []
         for piece, length, count in zip(self._pieces, lengths, counts, strict=True):

@@ -1,6 +1,7 @@
-"""The bodies' parts of the fast step, as tensor operations on any device."""
+"""The bodies' parts of the fast step, by the kind of skin."""
 
 from collections.abc import Callable
+from functools import singledispatch
 from typing import NamedTuple, TypeVar
 
 import torch
@@ -9,29 +10,110 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.bounce_back import (
-    Skin,
-    Slots,
-    bounce_off_bodies_,
-    locate_skins,
-    make_lattice,
-    uncover_nodes_,
-)
 from fishrl.physics.collision import compute_force_increment, compute_macroscopic
 from fishrl.physics.fast.flow_memory import FlowData, GroupMemory
 from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.fast.part import Part, copy_tree
 from fishrl.physics.flow import FlowConfig
-from fishrl.physics.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.lattice import Q
-from fishrl.physics.step import couple_bodies
+from fishrl.physics.skins.bounce_back import (
+    BounceBack,
+    Contact,
+    find_contacts,
+    reflect_,
+    uncover_,
+)
+from fishrl.physics.skins.immersed_boundary import (
+    BodyGeometry,
+    ImmersedBoundary,
+    couple_bodies,
+    locate_bodies,
+)
+from fishrl.physics.skins.skin import Skin
+from fishrl.physics.skins.slots import Slots, make_lattice
 
 Tree = TypeVar("Tree", bound=tuple[object, ...])
 Bodies = tuple[tuple[BodyParams, ...], tuple[BodyState, ...]]
-#: Populations of a group, ``[Q]`` int64 offsets of the slots of each outgoing population,
-#: and ``[B]`` int64 cells of each flow's node (0, 0).
+#: Populations of a group, ``[Q]`` int64 offsets of the slots of each outgoing population, and
+#: ``[B]`` int64 cells of each flow's node (0, 0).
 Places = tuple[Tensor, Tensor, Tensor]
-Skins = tuple[Skin, ...]
+Contacts = tuple[Contact, ...]
+
+BODY_SETTINGS: dict[str, dict[str, object]] = {
+    # The part is small and scatters: one thread, and weights are kept, not computed again for every
+    # pair of markers (six times slower at L = 100).
+    "cpu": {"cpp.threads": 1, "realize_opcount_threshold": 10},
+    # On a GPU launches count: Inductor puts kernels that do not depend on each other into one. Sums
+    # over markers loop, since registers would not hold all terms.
+    "cuda": {"combo_kernels": True, "triton.persistent_reductions": False},
+}
+# Vectors are worth their compilation (another 8 s) from this number of markers on.
+_MANY_MARKERS = 50
+
+
+class SkinParts(NamedTuple):
+    """The parts of a skin: one that runs once before many steps, and those of each step."""
+
+    start: Part | None
+    step: list[Part]
+
+
+@singledispatch
+def make_skin_parts(
+    skin: Skin, config: FlowConfig, layout: InPlaceLayout, sample: FlowData
+) -> SkinParts:
+    """Return the parts of a skin, for flows with the ``sample``'s numbers.
+
+    They run between collision and edges, on outgoing populations. A new kind of skin registers its
+    own: ``@make_skin_parts.register``.
+    """
+    raise TypeError(f"{type(skin).__name__} has no parts: see fast.body_parts.make_skin_parts")
+
+
+@make_skin_parts.register
+def _make_bounce_back(
+    skin: BounceBack, config: FlowConfig, layout: InPlaceLayout, sample: FlowData
+) -> SkinParts:
+    """Find all contacts first; then reflect populations, find the new contacts, uncover nodes.
+
+    Their tensors are the grid, the bodies, their contacts before and after a step.
+    """
+    device, kinds, size = sample.clock.device, config.bodies, (config.width, config.height)
+    places, lattice = find_places(layout, device), make_lattice(device)
+    # before even and before odd steps; bodies that never move have one for both
+    even, odd = (
+        keep(find_contacts(kinds, sample.params.bodies, sample.bodies, size)) for _ in range(2)
+    )
+    each = zip(kinds, even, odd, strict=True)
+    contacts = even, tuple(first if body.is_still else other for body, first, other in each)
+
+    def collect(memory: GroupMemory, parity: int) -> tuple[Grid, Bodies, Contacts, Contacts]:
+        before, after = contacts[parity], contacts[1 - parity]
+        grid = Grid(memory.outgoing(parity)[0], lattice, *places(memory, parity))
+        return grid, get_bodies(memory), before, after
+
+    def locate(grid: Grid, bodies: Bodies, before: Contacts, after: Contacts) -> None:
+        copy_tree(after, find_contacts(kinds, *bodies, grid.size))
+
+    def follow(grid: Grid, bodies: Bodies, before: Contacts, after: Contacts) -> None:
+        copy_tree(after, find_contacts(kinds, *bodies, grid.size, before))
+
+    def reflect(grid: Grid, bodies: Bodies, before: Contacts, after: Contacts) -> None:
+        copy_tree(bodies[1], reflect_(kinds, *bodies, before, grid.list_slots()))
+
+    def uncover(grid: Grid, bodies: Bodies, before: Contacts, after: Contacts) -> None:
+        uncover_(kinds, bodies[1], before, after, grid.list_slots())
+
+    # stacked arrays are written at once: each of their parts would be a tensor made in every call
+    settings = BODY_SETTINGS | {"cpu": BODY_SETTINGS["cpu"] | {"force_pointwise_cat": True}}
+    start = moved = Part("contact", collect, locate, settings, any_grid=True)
+    reflection = Part("reflection", collect, reflect, BODY_SETTINGS, any_grid=True)
+    if config.is_still:
+        return SkinParts(start, [reflection])
+    if any(body.is_still for body in kinds):
+        moved = Part("moved contact", collect, follow, settings, any_grid=True)
+    uncovering = Part("uncovering", collect, uncover, BODY_SETTINGS, any_grid=True)
+    return SkinParts(start, [reflection, moved, uncovering])
 
 
 class Grid(NamedTuple):
@@ -51,26 +133,78 @@ class Grid(NamedTuple):
     def list_slots(self) -> Slots:
         """Return all of them; the corner of a flow's ring is scrap."""
         row_length = self.nodes.stride(1)
-        return Slots(
-            data=self.data,
-            offsets=self.offsets,
-            first=self.first,
-            row_length=row_length,
-            scrap=self.first - (row_length + 1) + self.offsets[0],
-            lattice=self.lattice,
-        )
+        scrap = self.first - (row_length + 1) + self.offsets[0]
+        return Slots(self.data, self.offsets, self.first, row_length, scrap, self.lattice)
 
 
-BODY_SETTINGS: dict[str, dict[str, object]] = {
-    # The part is small and scatters: one thread, and weights are kept, not computed again for every
-    # pair of markers (six times slower at L = 100).
-    "cpu": {"cpp.threads": 1, "realize_opcount_threshold": 10},
-    # On a GPU launches count: Inductor puts kernels that do not depend on each other into one. Sums
-    # over markers loop, since registers would not hold all terms.
-    "cuda": {"combo_kernels": True, "triton.persistent_reductions": False},
-}
-# Vectors are worth their compilation (another 8 s) from this number of markers on.
-_MANY_MARKERS = 50
+@make_skin_parts.register
+def _make_immersed_boundary(
+    skin: ImmersedBoundary, config: FlowConfig, layout: InPlaceLayout, sample: FlowData
+) -> SkinParts:
+    """Let bodies read the fluid, move, and put their force into it.
+
+    Tensors of the part: the populations; omega ``[B, 1]`` or ``[B, cells]``; the force (x, y)
+    ``[cells]``, zero between steps, which all groups share; the bodies; and their geometry if they
+    stay still, located once. Others are located in each step.
+    """
+    device, kinds, size = sample.clock.device, config.bodies, (config.width, config.height)
+    places, row_length, origin = find_places(layout, device), layout.row_length, layout.first_cell
+    force = [torch.zeros(layout.num_cells, device=device) for _ in range(2)]
+    rates, has_field = config.rates, bool(config.sponges)
+
+    def locate(bodies: Bodies) -> BodyGeometry:
+        return locate_bodies(skin, kinds, *bodies, size, torch.float32)
+
+    kept = keep(locate((sample.params.bodies, sample.bodies))) if config.is_still else ()
+
+    def collect(
+        memory: GroupMemory, parity: int
+    ) -> tuple[Places, Tensor, list[Tensor], Bodies, BodyGeometry | tuple[()]]:
+        return places(memory, parity), memory.omega, force, get_bodies(memory), kept
+
+    def act(
+        places: Places,
+        omega: Tensor,
+        force: list[Tensor],
+        bodies: Bodies,
+        geometry: BodyGeometry | tuple[()],
+    ) -> None:
+        """Couple as in ``ImmersedBoundary.exchange``, at the marker nodes alone."""
+        data, offsets, first_cell = places
+        geometry = geometry or locate(bodies)
+        own = geometry.stencil.index_nodes(row_length)
+        nodes = own + first_cell[:, None, None]
+        slots = [nodes + offsets[q] for q in range(Q)]
+        fluid = compute_macroscopic([data[slot] for slot in slots])
+        moved, *shares = couple_bodies(skin, kinds, *bodies, geometry, fluid)
+        for total, share in zip(force, shares, strict=True):
+            total.index_put_((nodes,), share, accumulate=True)
+        if has_field:  # each node has its own
+            relaxation = omega.gather(1, (own + origin).flatten(1)).view_as(own)
+        else:
+            relaxation = omega[..., None]
+        whole, part = (force[0][nodes], force[1][nodes]), (shares[0], shares[1])
+        increment = compute_force_increment(fluid, whole, relaxation, rates, share=part)
+        for slot, values in zip(slots, increment, strict=True):
+            data.index_put_((slot,), values, accumulate=True)
+        for total in force:
+            total.index_put_((nodes,), torch.zeros_like(fluid.drho))
+        copy_tree(bodies[1], moved)
+
+    settings = BODY_SETTINGS
+    if sum(body.num_markers for body in kinds) < _MANY_MARKERS:
+        settings = settings | {"cpu": settings["cpu"] | {"cpp.simdlen": 1}}
+    coupling = Part("coupling", collect, act, settings)
+    if not kept:
+        return SkinParts(None, [coupling])
+
+    def collect_still(memory: GroupMemory, parity: int) -> tuple[Bodies, BodyGeometry]:
+        return get_bodies(memory), kept
+
+    def start(bodies: Bodies, geometry: BodyGeometry) -> None:
+        copy_tree(geometry, locate(bodies))
+
+    return SkinParts(Part("location", collect_still, start, BODY_SETTINGS), [coupling])
 
 
 def get_bodies(memory: GroupMemory) -> Bodies:
@@ -92,122 +226,3 @@ def keep(tree: Tree) -> Tree:
     """Return memory for tensors like those of a tree, with their content."""
     kept: Tree = pytree.tree_map(lambda t: t.clone(memory_format=torch.contiguous_format), tree)
     return kept
-
-
-def keep_geometry(config: FlowConfig, sample: FlowData) -> BodyGeometry:
-    """Return memory for a geometry of the bodies, with the ``sample``'s content."""
-    return keep(locate_bodies(config, sample.params.bodies, sample.bodies, torch.float32))
-
-
-def make_location(config: FlowConfig, geometry: BodyGeometry) -> Part:
-    """Return the part that locates bodies that never move, once before many steps."""
-
-    def collect(memory: GroupMemory, parity: int) -> tuple[Bodies, BodyGeometry]:
-        return get_bodies(memory), geometry
-
-    def act(bodies: Bodies, geometry: BodyGeometry) -> None:
-        copy_tree(geometry, locate_bodies(config, *bodies, torch.float32))
-
-    return Part("location", collect, act, BODY_SETTINGS)
-
-
-def make_coupling(
-    config: FlowConfig, layout: InPlaceLayout, geometry: BodyGeometry | None, device: torch.device
-) -> Part:
-    """Return the part that lets bodies read the fluid, move, and put their force into it.
-
-    Its tensors are the populations; omega ``[B, 1]`` or ``[B, cells]``; the force (x, y)
-    ``[cells]``, zero between steps, which all groups share; the bodies; and their ``geometry`` if
-    they stay still. Others are located in each step.
-    """
-    places, row_length, origin = find_places(layout, device), layout.row_length, layout.first_cell
-    force = [torch.zeros(layout.num_cells, device=device) for _ in range(2)]
-
-    def collect(
-        memory: GroupMemory, parity: int
-    ) -> tuple[Places, Tensor, list[Tensor], Bodies, BodyGeometry | tuple[()]]:
-        return places(memory, parity), memory.omega, force, get_bodies(memory), geometry or ()
-
-    def act(
-        places: Places,
-        omega: Tensor,
-        force: list[Tensor],
-        bodies: Bodies,
-        geometry: BodyGeometry | tuple[()],
-    ) -> None:
-        """Couple as in ``step.couple_bodies``, at the marker nodes alone."""
-        data, offsets, first_cell = places
-        geometry = geometry or locate_bodies(config, *bodies, torch.float32)
-        own = geometry.stencil.index_nodes(row_length)
-        nodes = own + first_cell[:, None, None]
-        slots = [nodes + offsets[q] for q in range(Q)]
-        fluid = compute_macroscopic([data[slot] for slot in slots])
-        moved, *shares = couple_bodies(config, *bodies, geometry, fluid)
-        for total, share in zip(force, shares, strict=True):
-            total.index_put_((nodes,), share, accumulate=True)
-        if config.sponges:  # each node has its own
-            rates = omega.gather(1, (own + origin).flatten(1)).view_as(own)
-        else:
-            rates = omega[..., None]
-        whole, part = (force[0][nodes], force[1][nodes]), (shares[0], shares[1])
-        increment = compute_force_increment(fluid, whole, rates, config.rates, share=part)
-        for slot, values in zip(slots, increment, strict=True):
-            data.index_put_((slot,), values, accumulate=True)
-        for total in force:
-            total.index_put_((nodes,), torch.zeros_like(fluid.drho))
-        copy_tree(bodies[1], moved)
-
-    settings = BODY_SETTINGS
-    if sum(body.num_markers for body in config.bodies) < _MANY_MARKERS:
-        settings = settings | {"cpu": settings["cpu"] | {"cpp.simdlen": 1}}
-    return Part("coupling", collect, act, settings)
-
-
-def make_skin_parts(
-    config: FlowConfig, layout: InPlaceLayout, sample: FlowData
-) -> tuple[Part, list[Part]]:
-    """Return the parts of bodies with sharp skins, with the ``sample``'s sizes.
-
-    The first finds all skins, once before many steps. Those of each step reflect populations at
-    the skins and move the bodies, find the skins that have moved, and fill the nodes that they have
-    passed. Their tensors are the grid, the bodies, their skins before and after a step.
-    """
-    device, kinds = sample.clock.device, config.bodies
-    places, lattice = find_places(layout, device), make_lattice(device)
-    size = config.width, config.height
-    # before even and before odd steps
-    skins = [keep(locate_skins(kinds, sample.params.bodies, sample.bodies, size)) for _ in range(2)]
-    # bodies that never move have one for both
-    skins[1] = tuple(
-        first if body.is_still else second
-        for body, first, second in zip(kinds, *skins, strict=True)
-    )
-
-    def collect(memory: GroupMemory, parity: int) -> tuple[Grid, Bodies, Skins, Skins]:
-        before, after = skins[parity], skins[1 - parity]
-        grid = Grid(memory.outgoing(parity)[0], lattice, *places(memory, parity))
-        return grid, get_bodies(memory), before, after
-
-    def locate(grid: Grid, bodies: Bodies, before: Skins, after: Skins) -> None:
-        copy_tree(after, locate_skins(kinds, *bodies, grid.size))
-
-    def follow(grid: Grid, bodies: Bodies, before: Skins, after: Skins) -> None:
-        copy_tree(after, locate_skins(kinds, *bodies, grid.size, before))
-
-    def reflect(grid: Grid, bodies: Bodies, before: Skins, after: Skins) -> None:
-        slots = grid.list_slots()
-        copy_tree(bodies[1], bounce_off_bodies_(kinds, *bodies, before, slots, torch.float32))
-
-    def uncover(grid: Grid, bodies: Bodies, before: Skins, after: Skins) -> None:
-        uncover_nodes_(kinds, bodies[1], before, after, grid.list_slots())
-
-    # stacked arrays are written at once: each of their parts would be a tensor made in every call
-    settings = BODY_SETTINGS | {"cpu": BODY_SETTINGS["cpu"] | {"force_pointwise_cat": True}}
-    start = moved = Part("skin", collect, locate, settings, any_grid=True)
-    reflection = Part("reflection", collect, reflect, BODY_SETTINGS, any_grid=True)
-    if config.is_still:
-        return start, [reflection]
-    if any(body.is_still for body in kinds):
-        moved = Part("moved skin", collect, follow, settings, any_grid=True)
-    uncovering = Part("uncovering", collect, uncover, BODY_SETTINGS, any_grid=True)
-    return start, [reflection, moved, uncovering]

@@ -16,7 +16,6 @@ from fishrl.physics.fast.checks import check_device, check_tensor, read_frequenc
 from fishrl.physics.fast.execution import Execution
 from fishrl.physics.fast.part import Part
 from fishrl.physics.flow import (
-    Coupling,
     FlowConfig,
     change_stream_speed,
     compute_stream_speed,
@@ -217,10 +216,10 @@ class InPlaceSolver:
     def join_stream_(self, rows: Tensor) -> None:
         """Give bodies that the flow moves, in ``rows`` ``[B]``, the mean velocity of their water.
 
-        It is the water at their markers. With ``Coupling.IMPLICIT`` nothing changes: there a body
+        It is the water at their markers. Nothing changes with an ``ImmersedBoundary``, where a body
         as light as water follows it from the first step, whatever its velocity.
         """
-        if self.config.coupling is Coupling.IMPLICIT:
+        if self.config.skin.has_water_inside:
             return
         for index, (body, state) in enumerate(zip(self.config.bodies, self.bodies, strict=True)):
             water = self.sample(self.markers(index))[1].mean(1)

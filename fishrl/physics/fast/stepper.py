@@ -11,17 +11,12 @@ even parity only.
 import torch
 from torch import Tensor
 
-from fishrl.physics.fast.body_parts import (
-    keep_geometry,
-    make_coupling,
-    make_location,
-    make_skin_parts,
-)
+from fishrl.physics.fast.body_parts import make_skin_parts
 from fishrl.physics.fast.flow_memory import FlowData
 from fishrl.physics.fast.fluid_parts import make_check, make_collision, make_crossing, make_edges
 from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.fast.part import FlowGroup, Part
-from fishrl.physics.flow import Coupling, FlowConfig
+from fishrl.physics.flow import FlowConfig
 
 _GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 
@@ -41,14 +36,9 @@ class Stepper:
         device = self._device = sample.clock.device
         self.locate: Part | None = None
         self.parts: list[Part] = [make_collision(config)]
-        if config.bodies and config.coupling is Coupling.BOUNCE_BACK:
-            self.locate, parts = make_skin_parts(config, layout, sample)
+        if config.bodies:
+            self.locate, parts = make_skin_parts(config.skin, config, layout, sample)
             self.parts += parts
-        elif config.bodies:
-            geometry = keep_geometry(config, sample) if config.is_still else None
-            if geometry:
-                self.locate = make_location(config, geometry)
-            self.parts.append(make_coupling(config, layout, geometry, device))
         if config.boundaries.list_crossings(config.height, config.width):
             self.parts.append(make_crossing(config))
         self.parts += [make_edges(config, sides, device) for sides in config.boundaries.in_order()]

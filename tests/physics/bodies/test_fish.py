@@ -20,10 +20,12 @@ from fishrl.physics.flow import (
     make_rest,
     make_uniform,
 )
-from fishrl.physics.geometry import deform_body, locate_markers, locate_outlines, place_markers
+from fishrl.physics.geometry import deform_body, locate_markers, locate_outline, place_markers
+from fishrl.physics.skins import ImmersedBoundary
 from fishrl.physics.step import step
 from tests.physics.flows import SCALES, advance, make_tank
 
+FIT = ImmersedBoundary().fit
 STILL = Gait(amplitude=0.0, envelope=(0.0, 1.0, 0.0), wavenumber=1.0)
 STEEP = Gait(amplitude=0.2, envelope=(0.0, 1.0, 0.0), wavenumber=2 * math.pi)
 MOTIONS = [Free(), Commanded(), Bending()]
@@ -62,9 +64,9 @@ def test_markers_move_by_the_velocity_that_the_flow_is_given(motion: Motion) -> 
     state = FlowState(make_rest(config, 1), (body,))
     worst = 0.0
     for _ in range(SCALES.period + 40):
-        place = locate_outlines(config, params.bodies, state.bodies).markers[0]
+        place = locate_outline(config.bodies[0], params.bodies[0], state.bodies[0]).markers
         state = step(state, config, params)
-        after = locate_outlines(config, params.bodies, state.bodies).markers[0]
+        after = locate_outline(config.bodies[0], params.bodies[0], state.bodies[0]).markers
         rx, ry = place.arm.unbind(-1)
         omega = state.bodies[0].angular_velocity[:, None]
         imposed = (
@@ -90,7 +92,7 @@ def test_changing_the_frequency_does_not_move_the_body(beats: float) -> None:
 
 @pytest.mark.parametrize("is_midline", [False, True])
 def test_half_the_amplitude_is_half_the_sway_of_the_tail(is_midline: bool) -> None:
-    fish = Fish(body_length=50, keeps_length=is_midline)
+    fish = FIT(Fish(body_length=50, keeps_length=is_midline))
     body = make_fish_body()
     body = body._replace(beats=body.beats + 2)
     half = body._replace(amplitude=0.5 * body.amplitude)
@@ -164,7 +166,8 @@ def test_a_deformation_has_no_angular_momentum_and_keeps_area_and_centre(
     gait: Gait, is_midline: bool
 ) -> None:
     """And a midline of constant length its length."""
-    fish, at_rest = Fish(body_length=100, gait=gait, keeps_length=is_midline), make_fish_body()
+    fish = FIT(Fish(body_length=100, gait=gait, keeps_length=is_midline))
+    at_rest = make_fish_body()
     assert fish.area == pytest.approx(0.08171 * 100**2, rel=0.01)
     for phase in (0.2, 1.7, 4.0):
         body = at_rest._replace(beats=0 * at_rest.beats + 1e3, phase=0 * at_rest.phase + phase)

@@ -10,6 +10,7 @@ from fishrl.physics.bodies.gait import Gait
 from fishrl.physics.bodies.motion import Fixed, Free, Oscillating
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip, Profile
 from fishrl.physics.flow import make_params
+from fishrl.physics.skins import ImmersedBoundary
 from tests.physics.flows import advance, read_state, start_solver
 
 CHANNEL = Boundaries(
@@ -38,6 +39,7 @@ def make_crowd(tau: float = 0.56, diameter: float = 12.0, amplitude: float = 0.1
             Cylinder(diameter=9, density_ratio=1.5, motion=Free()),
         ),
         boundaries=CHANNEL,
+        skin=ImmersedBoundary(),
     )
 
 

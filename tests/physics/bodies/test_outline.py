@@ -14,12 +14,13 @@ from fishrl.physics.bodies.shear import ShearParams
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.diagnostics import compute_area
 from fishrl.physics.geometry import deform_body, place_markers
+from fishrl.physics.skins import ImmersedBoundary
 
 ONE = torch.ones(1, dtype=torch.float64)
 
 
 def get_shape(outline: BodyConfig) -> ShearParams:
-    shape = outline.make_params()
+    shape = ImmersedBoundary().fit(outline).make_params()
     assert isinstance(shape, ShearParams)
     return shape
 
@@ -78,8 +79,9 @@ def test_an_inset_moves_every_marker_inwards_and_keeps_the_mass() -> None:
     torch.testing.assert_close(radius, torch.full_like(radius, 19.7), rtol=0, atol=1e-3)
     assert inset.area == plain.area
     assert float(get_shape(inset).inertia) == float(get_shape(plain).inertia)
-    tail = Fish(body_length=50, inset=0.5).make_params()
-    straight = Fish(body_length=50).make_params()
+    fit = ImmersedBoundary().fit
+    tail = fit(Fish(body_length=50, inset=0.5)).make_params()
+    straight = fit(Fish(body_length=50)).make_params()
     assert (tail.lateral.abs() <= straight.lateral.abs() + 1e-9).all()
     assert (tail.lateral * straight.lateral > -1e-9).all()  # the two sides never cross
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from fishrl.physics.bodies.strokes import C_START, Stroke, Strokes
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.flow import make_params
 from fishrl.physics.geometry import deform_body, place_markers
+from fishrl.physics.skins import ImmersedBoundary
 from tests.physics.bodies.test_fish import (
     assert_midline_keeps_length_area_and_centre,
     assert_no_angular_momentum,
@@ -23,8 +25,8 @@ from tests.physics.bodies.test_fish import (
 )
 from tests.physics.flows import SCALES
 
-LARVA = Fish(
-    body_length=100, section=Section.LARVA, thickness=0.127, strokes=C_START, motion=Free()
+LARVA = ImmersedBoundary().fit(
+    Fish(body_length=100, section=Section.LARVA, thickness=0.127, strokes=C_START, motion=Free())
 )
 TIMES = (0.35, 0.6, 1.2, 2.3)  # T, in and after the strokes; it is bent most at 0.6
 
@@ -82,7 +84,8 @@ def test_fish_of_one_batch_may_follow_strokes_of_their_own() -> None:
     small = Stroke(duration=0.4, bend=(1.0, 0.5, 0.2), wave=(0.3, 0.2, 0.1), lag=0.2)
     other = Strokes(sequence=(small, C_START.sequence[1]), phase=0.4)
     fish = [LARVA, replace(LARVA, strokes=other)]
-    configs = [make_swimmer_config(SCALES, length_bl=6, height_bl=6, bodies=(f,)) for f in fish]
+    make = partial(make_swimmer_config, SCALES, length_bl=6, height_bl=6, skin=ImmersedBoundary())
+    configs = [make(bodies=(each,)) for each in fish]
     both = make_params(configs).bodies[0]
     body = at(0.9)
     twice = BodyState(*(torch.cat((value, value)) for value in body))
@@ -92,6 +95,6 @@ def test_fish_of_one_batch_may_follow_strokes_of_their_own() -> None:
         for one, each in zip(alone, together, strict=True):
             torch.testing.assert_close(each[row], one[0], rtol=1e-12, atol=1e-12)
     single = replace(LARVA, strokes=Strokes(sequence=(small,)))
-    configs[1] = make_swimmer_config(SCALES, length_bl=6, height_bl=6, bodies=(single,))
+    configs[1] = make(bodies=(single,))
     with pytest.raises(ValueError, match="flow 1 differs"):
         make_params(configs)

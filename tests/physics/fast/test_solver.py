@@ -25,8 +25,8 @@ from fishrl.physics.boundaries import (
 from fishrl.physics.cases import PERIODIC
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.fast import execution as execution_module
-from fishrl.physics.flow import Coupling, Sponge, make_params, make_rest, make_uniform
-from fishrl.physics.immersed_boundary import DirectSolve
+from fishrl.physics.flow import Sponge, make_params, make_rest, make_uniform
+from fishrl.physics.skins import BounceBack, DirectSolve, ImmersedBoundary
 from fishrl.physics.step import step
 from tests.physics.flows import SCALES, advance, make_tank, read_state, start_solver
 
@@ -111,10 +111,10 @@ CHANGES: dict[str, dict[str, Any]] = {
         "sponges": (Sponge(length=20), Sponge(length=8, side=Side.TOP)),
     },
     "in a sponge": {"boundaries": INLET, "stream_speed": 0.03, "sponges": (Sponge(length=90),)},
-    "direct solve": {"force_solve": DirectSolve()},
+    "direct solve": {"skin": ImmersedBoundary(force_solve=DirectSolve())},
     "sharp skin": {
-        "bodies": (Fish(body_length=24, motion=Free(), **Coupling.BOUNCE_BACK.body_settings),),
-        "coupling": Coupling.BOUNCE_BACK,
+        "bodies": (Fish(body_length=24, motion=Free()),),
+        "skin": BounceBack(),
     },
     "periodic both ways": {"boundaries": PERIODIC},
     **{name: {"boundaries": edges, "stream_speed": 0.02} for name, edges in EDGES.items()},
