@@ -62,7 +62,7 @@ def test_wakes_match_disc_and_speed_and_each_disc_has_one_file(
 
 @pytest.mark.usefixtures("kinematic")
 def test_flow_index_is_the_nearest_speed_behind_the_same_disc() -> None:
-    changes = StreamSwitches(interval_T=0.5, ramp_T=0.4, speeds_bl=(1.0, 1.4))
+    changes = StreamSwitches(interval_T=0.45, ramp_T=0.4, speeds_bl=(1.0, 1.4))
     task = make_task(replace(VARIED, changes=changes), control_interval_T=0.5, checks_per_action=13)
     starts = task.sample_starts(2, torch.Generator().manual_seed(0))
     starts["flow_index"], starts["stream_speeds"][:, 0] = torch.tensor([0, 2]), 1.4
