@@ -13,6 +13,7 @@ sys.path[:0] = [str(HERE.parent), str(HERE)]
 
 from notebooks import offer_notebook  # noqa: E402
 from reference import show_signature, write_reference  # noqa: E402
+from task_reference import write_task_reference  # noqa: E402
 
 import fishrl  # noqa: E402
 from experiments.validate import CASES  # noqa: E402
@@ -20,6 +21,7 @@ from experiments.validation.report import render_case  # noqa: E402
 from fishrl.settings import Settings  # noqa: E402
 
 write_reference(HERE / "configuration.md")
+write_task_reference(HERE / "task_reference.md")
 
 project = "fishrl"
 author = "fishrl developers"

@@ -8,7 +8,11 @@ DOCS = Path(__file__).parents[2] / "docs"
 #: README and all pages but the one that ``make docs`` generates.
 PAGES = [
     *(DOCS.parent / name for name in ("README.md", "CONTRIBUTING.md")),
-    *(page for page in sorted(DOCS.rglob("*.md")) if page.name != "configuration.md"),
+    *(
+        page
+        for page in sorted(DOCS.rglob("*.md"))
+        if page.stem not in ("configuration", "task_reference")
+    ),
 ]
 FENCE = re.compile(r"^```(python|yaml)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"<!-- file: (\S+) -->")

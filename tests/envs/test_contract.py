@@ -13,9 +13,11 @@ import torch
 from torchrl.envs import check_env_specs
 
 import fishrl.envs.tasks
+from docs.task_reference import read_terms, show
 from fishrl.envs import AbstractTask, Flows, make_env
-from fishrl.envs.agents import split_fish
+from fishrl.envs.agents import TERM, split_fish
 from fishrl.envs.control import ContinuousFrequency, DirectFrequencies, Turn
+from fishrl.envs.episodes import name_terms
 from fishrl.envs.tasks import Follower, KarmanGait, Predation, PredationPair
 from tests.envs.conftest import CONTINUOUS, SMALL, make_flows
 from tests.envs.small_tasks import MaskedTask
@@ -63,6 +65,16 @@ def test_pickle_holds_the_settings_alone(task: AbstractTask) -> None:
 
 def test_specs_hold(task: AbstractTask) -> None:
     check_env_specs(make_env(task=task, flows=Flows(num_envs=3, compile=False)), seed=0)
+
+
+def test_reference_page_gives_every_number_action_and_term(task: AbstractTask) -> None:
+    if not task.senses:
+        return
+    env = make_env(task=task, flows=Flows(num_envs=1, compile=False))
+    assert {TERM + name for name in read_terms(type(task))} == set(name_terms(env))
+    table = show(task)
+    assert f"| {task.n_obs - 1} | {task.senses[-1].name} |" in table
+    assert f"| {task.num_actions - 1} | {task.action_names[-1]} |" in table
 
 
 def test_every_state_has_a_legal_action_and_random_actions_are_legal(task: AbstractTask) -> None:
