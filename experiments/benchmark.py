@@ -54,7 +54,7 @@ def run(settings: BenchmarkSettings) -> Results:
     return results
 
 
-@program(BenchmarkSettings)
+@program()
 def main(settings: BenchmarkSettings) -> None:
     """Measure, print tables, and write JSON, figures and perhaps the page."""
     folder, start = Path(settings.folder), time.perf_counter()

@@ -22,7 +22,6 @@ from fishrl.programs.summarize import summarize
 from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
 from fishrl.settings import flatten, to_plain
-from fishrl.training.callback import SILENT
 from fishrl.training.run_folder import read_config
 
 #: Folder and name of each kind of policy in the second task.
@@ -127,9 +126,9 @@ def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> No
     }
     draw_curves(pictures / "training.png", curves)
     film = pictures / "gait.gif"
-    words = [f"checkpoint={quote(str(runs['both'][0]))}", f"periods={FILM_T}"]
+    words = [f"policy={quote(str(runs['both'][0]))}", f"periods={FILM_T}"]
     words.append(f"save={quote(str(film))}")
-    view.record(view.main.read(words), save=film, url=None, progress=SILENT)
+    view.main.run(view.main.read(words))
 
 
 def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) -> Path:

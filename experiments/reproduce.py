@@ -217,7 +217,7 @@ def run_job(job: Job, record: Record, lock: int) -> None:
         raise ValueError(f"{job.name} ended with status {child.returncode}; repeat the command")
 
 
-@program(ReproduceSettings, groups={"scale": "small"}, conf=Path(__file__).parent / "conf")
+@program(groups={"scale": "small"}, conf=Path(__file__).parent / "conf")
 def main(settings: ReproduceSettings) -> None:
     """Run what is left, and write the page."""
     scale, folder = settings.scale, settings.path

@@ -18,16 +18,19 @@ from experiments.gait.free_stream import hold_in_free_stream
 from experiments.gait.tables import write_free_stream, write_results
 from fishrl.envs import Flows, KarmanGait, Recognition
 from fishrl.files import write_whole
-from fishrl.programs.program import TaskSettings, program
+from fishrl.programs.program import program
+from fishrl.settings import Settings
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
 
-class TransferSettings(TaskSettings):
+class TransferSettings(Settings):
     """Settings of a transfer test.
 
     Args:
+        task: task of the baselines, unless a run brings its own.
+        preset: name of a preset; only its task is used.
         runs: run folders of ``task=karman_gait``; runs of one kind are its seeds. The
             baselines use the task of the first run with macro-actions.
         episodes: episodes in each flow.
@@ -41,6 +44,7 @@ class TransferSettings(TaskSettings):
     """
 
     task: KarmanGait
+    preset: str | None = None
     runs: tuple[str, ...] = ()
     episodes: PositiveInt = 100
     periods: PositiveFloat = trials.PERIODS
@@ -116,7 +120,7 @@ def transfer(
     return results
 
 
-@program(TransferSettings, groups={"task": "karman_gait", "preset": "gait_small"})
+@program(groups={"task": "karman_gait", "preset": "gait_small"})
 def main(settings: TransferSettings) -> None:
     """Load and evaluate the policies, and print the tables."""
     torch.set_num_threads(1)

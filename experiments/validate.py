@@ -63,7 +63,7 @@ class ValidateSettings(Settings):
                 raise unknown(name, names)
 
 
-@program(ValidateSettings)
+@program()
 def main(settings: ValidateSettings) -> None:
     """Run, check and report the cases."""
     folder = Path(settings.folder)

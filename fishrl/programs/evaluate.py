@@ -1,4 +1,4 @@
-"""Evaluate a policy: ``fishrl evaluate checkpoint=runs/<name> episodes=32``.
+"""Evaluate a policy: ``fishrl evaluate policy=runs/<name> episodes=32``.
 
 ``policy=random|pursuit|intercept`` evaluates a baseline instead.
 """
@@ -6,61 +6,46 @@
 from pathlib import Path
 from typing import Any
 
-from pydantic import PositiveInt
-
 from fishrl.programs.live import LiveView
-from fishrl.programs.policy_settings import PolicySettings, read_task
-from fishrl.programs.program import program
+from fishrl.programs.program import program, take
 from fishrl.programs.statistics import find_share, show
-from fishrl.settings import describe
-from fishrl.training import evaluate as run_evaluation
-from fishrl.training.callback import SILENT, Callback
+from fishrl.programs.stored_task import read_task
+from fishrl.settings import to_plain
+from fishrl.training import evaluate
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 from fishrl.viewer import ViewerSettings, check_folder
 
 
-class EvaluateConfig(PolicySettings, ViewerSettings):
-    """Settings of an evaluation.
+@program(
+    evaluate,
+    ViewerSettings,
+    without=("callbacks",),
+    groups={"task": "predation", "preset": None},
+    stored=read_task,
+)
+def main(*, preset: str | None = None, save: str | None = None, **given: Any) -> None:
+    """Evaluate, print the result, and store it where ``save`` says.
 
     Args:
-        episodes: fixed starts, one episode each; with ``seed=0`` those of every run's final
-            evaluation, with 1 those that selected its checkpoint.
+        preset: name of a preset; only its task is used.
         save: file for the result and all these settings as JSON, or nothing.
+        **given: arguments of ``evaluate`` and ``ViewerSettings``.
     """
-
-    episodes: PositiveInt = 32
-    save: str | None = None
-
-
-def evaluate(config: EvaluateConfig, *, progress: Callback = SILENT) -> dict[str, Any]:
-    """Run one episode from each of the fixed starts, and return the result with its policy."""
-    live = LiveView(config, num_flows=min(config.flows.num_envs, config.episodes))
-    result = run_evaluation(
-        config.source,
-        task=config.task,
-        recognition=config.recognition,
-        episodes=config.episodes,
-        flows=config.flows,
-        seed=config.seed,
-        callbacks=[progress, live],
-    )
-    about = {"policy": config.checkpoint or config.policy, "task": type(config.task).__name__}
-    return {**about, "preset": config.preset, "seed": config.seed, **result}
-
-
-@program(EvaluateConfig, groups={"task": "predation", "preset": None}, stored=read_task)
-def main(settings: EvaluateConfig) -> None:
-    """Evaluate, print the result, and store it where ``save`` says."""
-    path = None if settings.save is None else Path(settings.save).expanduser()
+    settings = to_plain({"preset": preset, "save": save, **given})
+    path = None if save is None else Path(save).expanduser()
     if path is not None:
         check_folder(path)
+    policy, view = given["policy"], take(ViewerSettings, given)
+    live = LiveView(view, num_flows=min(given["flows"].num_envs, given["episodes"]))
     with Progress() as progress:
-        result = evaluate(settings, progress=progress)
+        result = evaluate(**given, callbacks=[progress, live])
+    about = {"policy": policy, "task": type(given["task"]).__name__, "preset": preset}
+    result = {**about, "seed": given["seed"], **result}
     for name, value in result.items():
         shown = show(value, ".3f") if isinstance(value, float) else value
         if name == "success_rate":
             shown = find_share(round(value * result["episodes"]), result["episodes"]).show(".3f")
         print(f"{name:<24}{shown}")
     if path is not None:
-        write_json(path, result | {"settings": describe(settings)})
+        write_json(path, result | {"settings": settings})

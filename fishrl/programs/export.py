@@ -1,6 +1,6 @@
 """Write the flow around a policy's fish for other tools: ``fishrl export ...``.
 
-``checkpoint=runs/<name> save=flow.nc`` simulates one episode and writes velocity, pressure and
+``policy=runs/<name> save=flow.nc`` simulates one episode and writes velocity, pressure and
 vorticity over time, and the outlines of all bodies, in body lengths L and tail-beat periods T.
 The ending of ``save`` says how: ``.nc`` NetCDF and ``.zarr`` Zarr, both read by xarray, ``.pvd``
 VTK files for ParaView. Needs the extra ``export``.
@@ -8,12 +8,13 @@ VTK files for ParaView. Needs the extra ``export``.
 
 import json
 from contextlib import closing
+from dataclasses import replace
 from itertools import count, pairwise
 from math import floor
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import PositiveFloat, PositiveInt
+from pydantic import AfterValidator, PositiveFloat, PositiveInt
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -21,11 +22,13 @@ from fishrl import __version__
 from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.extras import show_install
 from fishrl.programs.export_policy import read_revision
-from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
+from fishrl.programs.stored_task import read_task
 from fishrl.settings import describe
+from fishrl.training import evaluate
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.evaluation import fixed_starts
+from fishrl.training.policies import prepare
 from fishrl.training.progress import Progress
 from fishrl.viewer import check_folder
 from fishrl.viewer.fields import WRITERS, make_dataset, read_fields
@@ -34,64 +37,61 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-class ExportSettings(PolicySettings):
-    """Settings of an export.
+def check_ending(save: str) -> str:
+    """Return a path if its ending is that of a format; else raise ValueError."""
+    if Path(save).suffix not in WRITERS:
+        raise ValueError(f"a file that ends in one of {', '.join(WRITERS)}")
+    return save
+
+
+def simulate(
+    *, periods: float | None, frames_per_T: int, callback: Callback = SILENT, **given: Any
+) -> "xr.Dataset":
+    """Run one episode and return its fields ``(time, y, x)`` and outlines ``(time, marker)``.
 
     Args:
-        save: file or folder to write, ending in ``.nc``, ``.zarr`` or ``.pvd``.
-        periods: T after which the episode is cut; ``null`` runs it to its end.
+        periods: T after which the episode is cut; None runs it to its end.
         frames_per_T: frames per period, approximately.
+        callback: called as it advances.
+        **given: arguments of ``evaluate`` but the number of episodes.
     """
-
-    save: str
-    periods: PositiveFloat | None = 5.0
-    frames_per_T: PositiveInt = 8
-
-    def __post_init__(self) -> None:
-        """Check that the format is known, too."""
-        super().__post_init__()
-        if Path(self.save).suffix not in WRITERS:
-            raise ValueError(f"save = {self.save}: must end in one of {', '.join(WRITERS)}")
-
-
-def simulate(settings: ExportSettings, *, progress: Callback = SILENT) -> "xr.Dataset":
-    """Run one episode and return its fields ``(time, y, x)`` and outlines ``(time, marker)``."""
-    task, recognition, policy = settings.make_policy()
-    max_decisions = min(task.time_limit, count_decisions(task, settings.periods))
-    share = min(1.0, settings.frames_per_T * task.interval_T / task.checks_per_action)  # of checks
+    given["flows"] = replace(given["flows"], num_envs=1)
+    env, policy = prepare(**given, callback=callback)
+    task, seed = env.base_env.task, given["seed"]
+    max_decisions = min(task.time_limit, count_decisions(task, periods))
+    share = min(1.0, frames_per_T * task.interval_T / task.checks_per_action)  # of checks
     written = (floor(check * share + 1e-9) for check in count(0))
     is_due = (before < now for before, now in pairwise(written))
-    env = settings.make_env(task, recognition, num_envs=1, progress=progress)
 
     def read(start_of: Tensor, what: object) -> dict[str, Tensor]:
         return read_fields(env.base_env.solver, task.scales)
 
     def end(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
-        progress.on_progress(1)
+        callback.on_progress(1)
         return read(start_of, step) if step["next", "done"].all() else {}
 
     with closing(env):
-        progress.on_phase("episode", total=max_decisions)
+        callback.on_phase("episode", total=max_decisions)
         episodes = run_episodes(
             env,
             policy,
-            fixed_starts(task, 1, seed=settings.seed),
+            fixed_starts(task, 1, seed=seed),
             max_decisions=max_decisions,
             on_begin=read,
             on_step=end,
             on_frame=lambda start_of, flows: read(start_of, flows) if next(is_due) else {},
         )
-    name = settings.policy or Path(str(settings.checkpoint)).resolve().name
+    name = Path(given["policy"]).name
     commit = read_revision() or "unknown"
     return make_dataset(
         episodes.traces.of(0),
         body_length=task.scales.body_length,
         about={  # names of the CF conventions, where there are any
-            "title": f"{type(task).__name__}, policy {name}, seed {settings.seed}",
+            "title": f"{type(task).__name__}, policy {name}, seed {seed}",
             "source": f"fishrl {__version__}, commit {commit}",
             "comment": "lengths in body lengths L, times in periods T, pressure in rho (L/T)^2",
             "policy": name,
-            "seed": settings.seed,
+            "seed": seed,
             "commit": commit,
             "task": json.dumps(describe(task)),
             "reynolds": task.reynolds,
@@ -101,10 +101,30 @@ def simulate(settings: ExportSettings, *, progress: Callback = SILENT) -> "xr.Da
     )
 
 
-@program(ExportSettings, groups={"task": "predation", "preset": None}, stored=read_task)
-def main(settings: ExportSettings) -> None:
-    """Simulate and write."""
-    path = Path(settings.save).expanduser()
+@program(
+    evaluate,
+    without=("callbacks", "episodes"),
+    groups={"task": "predation", "preset": None},
+    stored=read_task,
+)
+def main(
+    *,
+    save: Annotated[str, AfterValidator(check_ending)],
+    periods: PositiveFloat | None = 5.0,
+    frames_per_T: PositiveInt = 8,
+    preset: str | None = None,
+    **given: Any,
+) -> None:
+    """Simulate and write.
+
+    Args:
+        save: file or folder to write, ending in ``.nc``, ``.zarr`` or ``.pvd``.
+        periods: T after which the episode is cut; ``null`` runs it to its end.
+        frames_per_T: frames per period, approximately.
+        preset: name of a preset; only its task is used.
+        **given: arguments of ``evaluate``.
+    """
+    path = Path(save).expanduser()
     check_folder(path)
     try:
         import pyvista  # noqa: F401
@@ -112,6 +132,6 @@ def main(settings: ExportSettings) -> None:
     except ImportError as error:
         raise ImportError(f"exports need packages: {show_install('export')}") from error
     with Progress() as progress:
-        flow = simulate(settings, progress=progress)
+        flow = simulate(periods=periods, frames_per_T=frames_per_T, callback=progress, **given)
     WRITERS[path.suffix](flow, path)
     print(f"written to {path}: {flow.sizes['time']} moments, {flow.nbytes / 1e6:.0f} MB in memory")

@@ -1,7 +1,7 @@
 """Export a learned policy: ``fishrl export-policy run=runs/<name> folder=<folder>``.
 
 Writes its weights, settings, learning curve, final evaluation and model card, without what only its
-training needs; every program takes the folder as ``checkpoint=<folder>``. ``upload=<user>/<name>``
+training needs; every program takes the folder as ``policy=<folder>``. ``upload=<user>/<name>``
 also uploads it to the Hugging Face Hub, which needs the extra ``hub`` and a login
 (``hf auth login``, or ``HF_TOKEN``).
 """
@@ -9,28 +9,11 @@ also uploads it to the Hugging Face Hub, which needs the extra ``hub`` and a log
 import subprocess
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from fishrl.extras import show_install
 from fishrl.programs.program import program
-from fishrl.settings import Settings
 from fishrl.training.export import export_policy
-
-
-class ExportPolicySettings(Settings):
-    """Settings of an export.
-
-    Args:
-        run: folder of a run.
-        folder: folder to write.
-        title: title of the model card; by default the name of the folder.
-        upload: repository of the Hugging Face Hub to upload the folder to, ``<user>/<name>``; it is
-            created, for everyone to read, if it does not exist.
-    """
-
-    run: str
-    folder: str
-    title: str | None = None
-    upload: str | None = None
 
 
 def read_revision() -> str | None:
@@ -40,7 +23,7 @@ def read_revision() -> str | None:
     return done.stdout.strip() or None
 
 
-def upload(folder: Path, repository: str) -> str:
+def send(folder: Path, repository: str) -> str:
     """Upload a folder to a repository of the Hugging Face Hub; return the address of the commit.
 
     Raises:
@@ -57,15 +40,19 @@ def upload(folder: Path, repository: str) -> str:
         raise OSError(f"upload = {repository}: {' '.join(str(error).split())}") from error
 
 
-@program(ExportPolicySettings)
-def main(settings: ExportPolicySettings) -> None:
-    """Export and say where."""
-    if settings.upload is not None and find_spec("huggingface_hub") is None:
+@program(export_policy, without=("revision",))
+def main(*, upload: str | None = None, **given: Any) -> None:
+    """Export and say where.
+
+    Args:
+        upload: repository of the Hugging Face Hub to upload the folder to, ``<user>/<name>``; it is
+            created, for everyone to read, if it does not exist.
+        **given: arguments of ``export_policy``.
+    """
+    if upload is not None and find_spec("huggingface_hub") is None:
         raise ImportError(f"upload needs a package: {show_install('hub')}")
-    folder = export_policy(
-        settings.run, settings.folder, title=settings.title, revision=read_revision()
-    )
+    folder = export_policy(**given, revision=read_revision())
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
     print(f"written to {folder}: {size / 1e6:.2f} MB")
-    if settings.upload is not None:
-        print(f"uploaded to {upload(folder, settings.upload)}")
+    if upload is not None:
+        print(f"uploaded to {send(folder, upload)}")

@@ -1,16 +1,15 @@
-"""Programs: a function run with settings given as ``key=value``; errors take one line.
+"""Programs: functions called with arguments given as ``key=value``; errors take one line.
 
-``@program`` makes a program of a function and of a class with its settings::
+The signature of a function is the command line of its program::
 
-    @program(EvaluateConfig, groups={"task": "predation", "preset": None})
-    def main(settings: EvaluateConfig) -> None: ...
+    @program(evaluate, groups={"task": "predation", "preset": None})
+    def main(*, save: str | None = None, **given: Any) -> None: ...
 
-``fishrl evaluate policy=random task.reynolds=400`` then checks the settings and calls the
-function. ``groups`` are for programs that make a task, algorithm or logger. ``--help`` prints the
-module's docstring and the settings with what the ``Args:`` of their classes say, ``--cfg job`` all
-settings as YAML. ``ValueError``, ``ImportError`` and ``OSError`` end the program with one line. In
-Python, ``main.read([...])`` returns the settings of a command line and ``main.run(settings)`` runs
-them.
+``fishrl evaluate policy=random task.reynolds=400`` checks the arguments of ``main`` and of
+``evaluate``, and calls ``main``. ``--help`` prints the docstring of the module and, from ``Args:``,
+the meaning of all arguments, ``--cfg job`` their values as YAML. ``ValueError``, ``ImportError``
+and ``OSError`` end the program with one line. In Python, ``main.read([...])`` returns the settings
+of a command line and ``main.run(settings)`` runs them.
 """
 
 import gc
@@ -24,23 +23,26 @@ import shutil
 import sys
 import sysconfig
 import traceback
+import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import yaml
 from tqdm import tqdm
 
-from fishrl.envs import AbstractTask
 from fishrl.pages import show
 from fishrl.programs.configuration import CommandLine, split_options
 from fishrl.settings import REQUIRED, TARGET, Settings, build, describe, list_fields, to_plain
+from fishrl.settings.base import find_schema
 from fishrl.settings.plain import list_classes, list_words
 from fishrl.training.interruption import exit_status, handling_signals
+
+S = TypeVar("S", bound=Settings)
 
 #: Layout of the lines of the help.
 _WIDTH: dict[str, Any] = {"width": 100, "initial_indent": "  ", "subsequent_indent": " " * 8}
@@ -48,11 +50,18 @@ _WIDTH: dict[str, Any] = {"width": 100, "initial_indent": "  ", "subsequent_inde
 
 @dataclass(frozen=True)
 class Program:
-    """A function of settings, run from the command line; ``sweep`` runs ``--multirun``."""
+    """A function, run from the command line; ``sweep`` runs ``--multirun``."""
 
-    run: Callable[[Any], None]
+    function: Callable[..., None]
     command_line: CommandLine
     sweep: Callable[[Sequence[str]], None] | None = None
+
+    def run(self, settings: Any) -> None:
+        """Call the function with the settings of a command line."""
+        if _takes_object(self.function):
+            self.function(settings)
+        else:
+            self.function(**vars(settings))
 
     def read(self, arguments: Sequence[str] = ()) -> Any:
         """Return the settings of a command line; see ``CommandLine.read``."""
@@ -82,7 +91,7 @@ class Program:
     def describe(self, arguments: Sequence[str] = ()) -> str:
         """Return the help: the module's docstring, choices and settings with their defaults."""
         line = self.command_line
-        lines = [(sys.modules[self.run.__module__].__doc__ or "").strip(), ""]
+        lines = [(sys.modules[self.function.__module__].__doc__ or "").strip(), ""]
         for name, choices in line.list_choices(arguments).items():
             lines.append(f"{name}: one of {', '.join(choices)}")
         if line.groups:
@@ -108,30 +117,48 @@ class Program:
         return values
 
 
-class TaskSettings(Settings):
-    """Settings of programs that study a task.
+def program(
+    *parts: Callable[..., Any],
+    without: tuple[str, ...] = (),
+    command_line: CommandLine | None = None,
+    sweep: Callable[[Sequence[str]], None] | None = None,
+    **line: Any,
+) -> Callable[[Callable[..., None]], Program]:
+    """Make a program of a function, whose arguments are its settings.
+
+    A function of one object of settings gets that object; any other its arguments by name, and the
+    arguments of ``parts`` as ``**given``.
 
     Args:
-        task: the task.
-        preset: name of a preset; only its task is used.
+        *parts: functions and classes of settings whose arguments are settings of the program, too.
+        without: arguments of ``parts`` that are not settings.
+        command_line: the command line, where it is known already.
+        sweep: runs ``--multirun``.
+        **line: arguments of ``CommandLine``.
     """
 
-    task: AbstractTask
-    preset: str | None = None
-
-
-def program(
-    schema: type | CommandLine, *, sweep: Callable[[Sequence[str]], None] | None = None, **line: Any
-) -> Callable[[Callable[[Any], None]], Program]:
-    """Make a program of a function of its settings; ``line`` are arguments of ``CommandLine``."""
-
-    def make(run: Callable[[Any], None]) -> Program:
-        if isinstance(schema, CommandLine):
-            return Program(run, schema, sweep)
-        name = run.__module__.rpartition(".")[2].replace("_", "-")
-        return Program(run, CommandLine(name=name, schema=schema, **line), sweep)
+    def make(function: Callable[..., None]) -> Program:
+        if command_line is not None:
+            return Program(function, command_line, sweep)
+        name = function.__module__.rpartition(".")[2].replace("_", "-")
+        if _takes_object(function):
+            (schema, *_) = typing.get_type_hints(function).values()
+        else:
+            bases = tuple(find_schema(part, without=without) for part in parts) or (Settings,)
+            schema = find_schema(function, bases=bases)
+        return Program(function, CommandLine(name=name, schema=schema, **line), sweep)
 
     return make
+
+
+def _takes_object(function: Callable[..., None]) -> bool:
+    first = next(iter(inspect.signature(function).parameters.values()))
+    return first.kind is first.POSITIONAL_OR_KEYWORD
+
+
+def take(kind: type[S], given: dict[str, Any]) -> S:
+    """Take the settings of a class out of arguments, and return its object."""
+    return kind(**{entry.name: given.pop(entry.name) for entry in list_fields(kind)})
 
 
 def _list_settings(key: str, value: Any, text: str, hint: Any) -> Iterator[str]:
@@ -167,7 +194,7 @@ def read_arguments(kind: type) -> dict[str, str]:
         doc, name = inspect.cleandoc(base.__doc__ or ""), ""
         match = re.search(r"^Args:\n((?:(?: .*)?\n?)*)", doc, re.MULTILINE)
         for line in match.group(1).splitlines() if match else ():
-            begins = re.match(r" {4}(\w+): (.*)", line)
+            begins = re.match(r" {4}\*{0,2}(\w+): (.*)", line)
             if begins:
                 name = begins.group(1)
                 texts[name] = begins.group(2)

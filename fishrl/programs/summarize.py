@@ -26,7 +26,6 @@ from fishrl.programs.statistics import (
 )
 from fishrl.programs.sweeps.groups import Group, group_runs, is_number
 from fishrl.programs.sweeps.runs import Run, advise, read_run, read_runs
-from fishrl.settings import Settings
 
 #: Heading, entry of a run's summary, format. ``curve_mean`` is the mean success rate over all
 #: evaluations of a training: the earlier a policy succeeds, the greater.
@@ -52,16 +51,6 @@ PANELS = {
     "return per episode": "eval/mean_return",
     "return while learning": "train/return",
 }
-
-
-class SummarizeSettings(Settings):
-    """Settings of a summary.
-
-    Args:
-        folder: folder of a sweep, which holds the run folders.
-    """
-
-    folder: str
 
 
 def summarize(folder: Path, *, paths: Sequence[Path] | None = None) -> str:
@@ -202,7 +191,11 @@ def write_csv_files(groups: Sequence[Group], folder: Path) -> None:
     write_csv(folder / "runs.csv", ["run", *keys, "seed", "status", "reason", *names], rows)
 
 
-@program(SummarizeSettings, positional="folder")
-def main(settings: SummarizeSettings) -> None:
-    """Print the tables."""
-    print(summarize(Path(settings.folder)))
+@program(positional="folder")
+def main(*, folder: str) -> None:
+    """Print the tables.
+
+    Args:
+        folder: folder of a sweep, which holds the run folders.
+    """
+    print(summarize(Path(folder)))

@@ -84,13 +84,13 @@ def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> 
         if not path.name.startswith("."):
             print(f"  {path}")
     has_recording = (folder / "episode.rrd").is_file()
-    policy = [f"checkpoint={quote(str(folder))}", *modules]
+    policy = [f"policy={quote(f'{folder.parent}/{folder.name}')}", *modules]
     viewed = [str(folder)] if has_recording else policy
     print(f"\nevaluate: {show_command('evaluate', *policy)}")
     print(f"view: {show_command('view', *viewed)}")
 
 
-@program(TRAINING, sweep=sweep)
+@program(command_line=TRAINING, sweep=sweep)
 def main(settings: TrainConfig) -> None:
     """Begin or continue a run; print the command to resume it if it is interrupted."""
     opened = open_run(settings)

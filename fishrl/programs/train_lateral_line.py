@@ -44,7 +44,7 @@ def train_lateral_line(
     return fits
 
 
-@program(LateralLineSettings, groups={"task": "karman_gait", "preset": None})
+@program(groups={"task": "karman_gait", "preset": None})
 def main(settings: LateralLineSettings) -> None:
     """Collect, fit and write a run folder."""
     place = settings.place  # refuses a task without flows to tell apart

@@ -3,7 +3,7 @@
 import inspect
 import math
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, field
 from enum import Enum
 from functools import cache
@@ -182,12 +182,25 @@ def find_role(kind: type, key: str) -> Role:
 
 
 @cache
-def find_schema(kind: type) -> type[Settings]:
-    """Return a ``Settings`` class, or make one of the constructor of any other class."""
-    if issubclass(kind, Settings):
-        return kind
-    hints = typing.get_type_hints(kind.__init__, include_extras=True)
-    given = inspect.signature(kind).parameters.values()
-    body: dict[str, Any] = {p.name: p.default for p in given if p.default is not p.empty}
-    body["__annotations__"] = {p.name: hints.get(p.name, Any) for p in given}
-    return type(kind.__name__, (Settings,), body | {"__module__": kind.__module__})
+def find_schema(
+    called: Callable[..., Any],
+    *,
+    without: tuple[str, ...] = (),
+    bases: tuple[type[Settings], ...] = (Settings,),
+) -> type[Settings]:
+    """Return a ``Settings`` class as it is, or make one of another class or of a function.
+
+    Its fields are the named arguments and the fields of ``bases``; ``without`` names arguments that
+    are not settings. An argument whose default is ``...`` may be left out, and is None then.
+    """
+    if isinstance(called, type) and issubclass(called, Settings):
+        return called
+    function = inspect.getattr_static(called, "__init__") if isinstance(called, type) else called
+    hints = typing.get_type_hints(function, include_extras=True)
+    given = inspect.signature(called).parameters.values()
+    fields = [p for p in given if p.kind is not p.VAR_KEYWORD and p.name not in without]
+    body: dict[str, Any] = {p.name: p.default for p in fields if p.default is not p.empty}
+    body = {name: None if default is ... else default for name, default in body.items()}
+    body["__annotations__"] = {p.name: hints.get(p.name, Any) for p in fields}
+    body |= {"__module__": called.__module__, "__doc__": called.__doc__}
+    return type(called.__name__, bases, body)

@@ -6,18 +6,21 @@ from pathlib import Path
 from types import EllipsisType
 from typing import Any
 
+from pydantic import NonNegativeInt, PositiveInt
 from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import TransformedEnv
 
 from fishrl.envs import AbstractTask, Flows, Recognition, make_env
 from fishrl.envs.episodes import Policy, run_episodes
 from fishrl.physics.fast.checks import check_device
 from fishrl.torch_state import in_own_state
 from fishrl.training.baselines import make_baseline
-from fishrl.training.callback import Callback, join
+from fishrl.training.callback import SILENT, Callback, join
 from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.policy_zoo import PREFIX, list_policies
 
 
 def load_plan(checkpoint: str | Path) -> Plan:
@@ -62,35 +65,50 @@ def load_policy(
     return actor
 
 
+def is_learned(policy: object) -> bool:
+    """Return whether a policy is learned, which is named by a path or ``zoo/<name>``."""
+    return isinstance(policy, Path) or (isinstance(policy, str) and "/" in policy)
+
+
 def prepare(
     policy: str | Path | Policy,
     *,
     task: AbstractTask | None = None,
     recognition: Recognition | EllipsisType | None = ...,
+    flows: Flows = Flows(),
     seed: int = 0,
-    device: str = "cpu",
-) -> tuple[AbstractTask, Recognition | None, Policy]:
-    """Return what a policy acts in and with; arguments and errors are those of ``evaluate``.
+    callback: Callback = SILENT,
+) -> tuple[TransformedEnv, Policy]:
+    """Make an environment that callbacks may read at every check, and the policy to act in it.
 
-    Returns:
-        The task, which reads the flow labels if there are any; their source, for
-        ``make_env(recognition=...)``; and the policy.
+    Arguments and errors are those of ``evaluate``.
     """
-    check_device(device)
-    if isinstance(policy, Path):
+    check_device(flows.device)
+    act: Any = policy
+    if isinstance(policy, str | Path) and is_learned(policy):
         plan = load_plan(policy)
         task = task or plan.task
-        recognition = plan.recognition if recognition is ... else recognition
+        labels = plan.recognition if recognition is ... else recognition
+        # first whether it fits the task, then whether its classifier does
+        act = load_policy(policy, task=task, has_labels=labels is not None, device=flows.device)
+    else:
+        labels = None if recognition is ... else recognition
     if task is None:
-        raise ValueError("evaluate: give a task, or the Path of a checkpoint, which brings its own")
-    labels = None if recognition is ... else recognition
-    act: Any = policy
-    if isinstance(policy, Path):  # first whether it fits the task, then whether its classifier does
-        act = load_policy(policy, task=task, has_labels=labels is not None, device=device)
+        raise ValueError("evaluate: give a task, or the path of a checkpoint, which brings its own")
     task = task if labels is None else labels.check(task)
-    if isinstance(policy, str):
-        act = make_baseline(policy, task=task, seed=seed)
-    return task, labels, act
+    if act in list_policies():
+        raise ValueError(f"policy = {act}: no baseline; did you mean {PREFIX}{act}?")
+    if isinstance(act, str):
+        act = make_baseline(act, task=task, seed=seed)
+    callback.on_phase("compilation" if flows.compile else "set-up")
+    env = make_env(
+        task=task,
+        flows=flows,
+        seed=seed,
+        frames_per_action=task.checks_per_action,
+        recognition=labels,
+    )
+    return env, act
 
 
 @in_own_state
@@ -99,21 +117,22 @@ def evaluate(
     *,
     task: AbstractTask | None = None,
     recognition: Recognition | EllipsisType | None = ...,
-    episodes: int = 32,
+    episodes: PositiveInt = 32,
     flows: Flows = Flows(),
-    seed: int = 0,
+    seed: NonNegativeInt = 0,
     callbacks: Iterable[Callback] = (),
 ) -> dict[str, Any]:
     """Run one episode from each of the fixed starts.
 
     Args:
-        policy: ``Path`` of a run folder or checkpoint, name of a baseline of the task, or a policy
-            that writes ``action``.
+        policy: run folder or checkpoint of a learned policy, a path with a slash, or
+            ``zoo/<name>``; name of a baseline of the task; or a policy that writes ``action``.
         task: the task; by default that of the checkpoint.
         recognition: source of flow labels, see ``make_env``; by default that of the checkpoint's
             run, and None for other policies.
         episodes: number of starts.
-        flows: number of flows, and how they are computed; the policy is on their device.
+        flows: flows that advance together, at most one per episode, and how they are computed; the
+            policy is on their device.
         seed: seed of the starts and of random actions; 0 gives the starts of every run's final
             evaluation, 1 those that selected its best checkpoint.
         callbacks: called during the evaluation, such as ``Progress()``.
@@ -125,16 +144,13 @@ def evaluate(
         ValueError: for invalid settings, and checkpoints that do not fit the task.
     """
     called = join(callbacks)
-    task, labels, act = prepare(
-        policy, task=task, recognition=recognition, seed=seed, device=flows.device
-    )
-    called.on_phase("compilation" if flows.compile else "set-up")
-    env = make_env(
+    env, act = prepare(
+        policy,
         task=task,
+        recognition=recognition,
         flows=replace(flows, num_envs=min(flows.num_envs, episodes)),
         seed=seed,
-        frames_per_action=task.checks_per_action,  # callbacks may read each
-        recognition=labels,
+        callback=called,
     )
     try:
         called.on_begin(env)
@@ -142,7 +158,7 @@ def evaluate(
         return run_episodes(
             env,
             act,
-            fixed_starts(task, episodes, seed=seed),
+            fixed_starts(env.base_env.task, episodes, seed=seed),
             on_step=lambda start_of, step: called.on_step(step),
             on_episodes=called.on_progress,
         ).metrics()

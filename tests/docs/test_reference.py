@@ -43,8 +43,8 @@ def test_rows_show_types_bounds_defaults_roles() -> None:
 
 
 def test_documented_seeds_match_training() -> None:
-    said = f"{FINAL_SEED} gives those of every run's final evaluation, "
-    said += f"{SELECTION_SEED} those that selected its checkpoint."
+    said = f"{FINAL_SEED} gives the starts of every run's final evaluation, "
+    said += f"{SELECTION_SEED} those that selected its best checkpoint."
     for program in ("fishrl evaluate", "fishrl view"):
         assert any(said in describe(base) for base in SCHEMAS[program].__mro__[:-2])
 

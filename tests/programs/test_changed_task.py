@@ -35,7 +35,7 @@ def store(folder: Path, *left_out: str) -> str:
         frames=0,
         config=config,
     )
-    return f"checkpoint={folder}"
+    return f"policy={folder}"
 
 
 CHANGES = [
@@ -91,7 +91,7 @@ def test_a_policy_with_a_classifier_is_refused_for_its_task_first() -> None:
 
 def test_a_learned_policy_swims_in_a_changed_task(tmp_path: Path) -> None:
     saved = tmp_path / "result.json"
-    arguments = ["checkpoint=zoo/gait_bend", "episodes=2", "flows.compile=false"]
+    arguments = ["policy=zoo/gait_bend", "episodes=2", "flows.compile=false"]
     arguments += ["task.stream.has_disc=false", "task.time_limit=1", f"save={saved}"]
     evaluate.main(arguments)
     result = json.loads(saved.read_text())

@@ -12,7 +12,7 @@ import xarray as xr
 from torchrl.data.datasets.minari_data import MinariExperienceReplay
 
 from fishrl.programs import export, export_data
-from fishrl.programs.export_policy import upload
+from fishrl.programs.export_policy import send
 from fishrl.viewer.fields import write_netcdf, write_vtk, write_zarr
 from fishrl.zoo import find_policy
 
@@ -26,8 +26,8 @@ TINY = [
 
 @pytest.fixture(scope="module")
 def flow() -> xr.Dataset:
-    settings = export.main.read([*TINY, "save=x.nc"])
-    return export.simulate(settings)
+    given = vars(export.main.read([*TINY, "save=x.nc"]))
+    return export.simulate(**{n: v for n, v in given.items() if n not in ("save", "preset")})
 
 
 def test_fields_are_in_body_lengths_and_periods(flow: xr.Dataset) -> None:
@@ -85,9 +85,9 @@ def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.Monkey
         [*tiny, "name=fishrl/pursuit-v0", "episodes=3", "flows.num_envs=2", f"folder={tmp_path}",
          "task.time_limit=4"]
     )  # fmt: skip
-    export_data.record(settings)
+    export_data.main.run(settings)
     with pytest.raises(ValueError, match="exists: increase the version"):
-        export_data.record(settings)
+        export_data.main.run(settings)
     data = minari.load_dataset("fishrl/pursuit-v0")
     episodes = list(data.iterate_episodes())
     assert len(episodes) == 3
@@ -114,4 +114,4 @@ def test_a_hub_that_does_not_answer_is_an_error_in_one_line(
         port = closed.getsockname()[1]
     monkeypatch.setattr("huggingface_hub.constants.ENDPOINT", f"http://127.0.0.1:{port}")
     with pytest.raises(OSError, match=r"^upload = me/fish: .*refused$"):
-        upload(find_policy("predation_sharp"), "me/fish")
+        send(find_policy("predation_sharp"), "me/fish")

@@ -15,7 +15,6 @@ import pytest
 import yaml
 
 from fishrl.programs import evaluate, summarize, train
-from fishrl.programs.configuration import CommandLine
 from fishrl.programs.program import Program, plain_errors, set_up_logging, show_command
 
 ROOT = Path(__file__).parents[2]
@@ -72,10 +71,7 @@ def test_a_program_shows_only_warnings_of_torchrl(monkeypatch: pytest.MonkeyPatc
 def test_a_signal_ends_a_program_as_an_interrupt(number: signal.Signals) -> None:
     before = signal.getsignal(number)
     with pytest.raises(SystemExit) as ended:
-        Program(
-            lambda _: signal.raise_signal(number),
-            CommandLine(name="x", schema=summarize.SummarizeSettings),
-        )(["folder=x"])
+        Program(lambda _: signal.raise_signal(number), summarize.main.command_line)(["folder=x"])
     assert ended.value.code == 128 + number
     assert signal.getsignal(number) is before
 
@@ -135,10 +131,10 @@ def test_commands_are_shown_as_typed_here(tmp_path: Path, monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize(
     ("policy", "said"),
-    [("runs/x", "give a path as checkpoint="), ("gait_bend", r"did you mean zoo/gait_bend\?")],
+    [("gait_bend", r"did you mean zoo/gait_bend\?"), ("pursiut", "did you mean 'pursuit'")],
 )
 def test_a_learned_policy_is_no_baseline(policy: str, said: str) -> None:
-    with pytest.raises(SystemExit, match=f"policy = {policy}: .* {said}"):
+    with pytest.raises(SystemExit, match=f"{policy}.* {said}"):
         evaluate.main([f"policy={policy}"])
 
 

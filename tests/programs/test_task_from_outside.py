@@ -67,7 +67,7 @@ def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
     assert (run / "learning_curve.png").is_file()
     advice = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("evaluate: "))
     saved = tmp_path / "result.json"
-    given = [f"checkpoint={run}", "episodes=2", "flows.compile=false", f"save={saved}"]
+    given = [f"policy={run}", "episodes=2", "flows.compile=false", f"save={saved}"]
     trusted = "modules=[hold_station,my_learning]"
     for needed in ([folder], ["modules=[hold_station]"]):  # my_learning is named nowhere
         forget(monkeypatch)
@@ -80,7 +80,7 @@ def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
     assert json.loads(saved.read_text())["task"] == "HoldStation"
     forget(monkeypatch)
     view.main(
-        [f"checkpoint={run}", trusted, "flows.compile=false", "periods=1", f"save={run / 'x.rrd'}"]
+        [f"policy={run}", trusted, "flows.compile=false", "periods=1", f"save={run / 'x.rrd'}"]
     )
     assert (run / "x.rrd").is_file()
     forget(monkeypatch)

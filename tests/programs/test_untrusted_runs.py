@@ -30,16 +30,16 @@ from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, write_yaml
 
 PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
-    "evaluate": (evaluate.main, ("checkpoint={run}", "task.time_limit=3", "flows.compile=false")),
-    "view": (view.main, ("checkpoint={run}", "save={run}/x.rrd", "flows.compile=false")),
+    "evaluate": (evaluate.main, ("policy={run}", "task.time_limit=3", "flows.compile=false")),
+    "view": (view.main, ("policy={run}", "save={run}/x.rrd", "flows.compile=false")),
     "resume": (train.main, ("resume={run}",)),
     "own files": (train.main, ("resume={run}", "--config-dir={run}/..")),
     "train": (train.main, ("task=karman_gait", "folder={run}/..", "name=run")),
     "sweep": (train.main, ("--multirun", "task=karman_gait", "folder={run}/..")),
     "transfer": (transfer.main, ("runs=[{run}]", "baselines=[]", "folder={run}/transfer")),
     "export_policy": (export_policy.main, ("run={run}", "folder={run}/policy")),
-    "export": (export.main, ("checkpoint={run}", "save={run}/flow.nc")),
-    "export_data": (export_data.main, ("checkpoint={run}", "name=a/b-v0", "folder={run}/data")),
+    "export": (export.main, ("policy={run}", "save={run}/flow.nc")),
+    "export_data": (export_data.main, ("policy={run}", "name=a/b-v0", "folder={run}/data")),
 }
 KINDS = ("task", "nested", "module", "algorithm", "logger")
 WHOLE = ("resume", "own files", "train", "sweep")  # which read all settings of the run

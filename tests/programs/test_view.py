@@ -65,9 +65,7 @@ def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(tmp_path: Path) -> N
     few = ["recognition=oracle", "baselines=[]", "picture_episodes=2", "total_frames=16"]
     run(TRAINING.read([*SETTINGS, *few, f"folder={tmp_path}", "name=run"]))
     assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "episode.rrd")
-    settings = view.main.read(
-        [f"checkpoint={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"]
-    )
+    settings = view.main.read([f"policy={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"])
     assert (settings.recognition, settings.preset) == (Oracle(), "gait_small")
     assert settings.task.body_length == 20
     assert settings.task.stream.speeds_bl == (1.0, 1.2, 1.4)
@@ -110,9 +108,9 @@ def test_a_live_view_streams_and_stays_until_an_interrupt(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "error: give exactly one of the path of a .rrd file"),
+        ([], "error: give either the path of a .rrd file or policy="),
         (["nowhere.rrd"], r"error: no \.rrd file at nowhere\.rrd"),
-        (["checkpoint=nowhere"], "error: checkpoint nowhere: there is none"),
+        (["policy=./nowhere"], "error: checkpoint nowhere: there is none"),
         (
             [*GAIT, "policy=pid", "shown_flows=[1]", "save=x.rrd"],
             r"error: shown_flows = \[1\]: must be some",

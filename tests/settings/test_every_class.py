@@ -33,9 +33,6 @@ ODD: tuple[Any, ...] = (
 GIVEN: dict[str, dict[str, Any]] = {
     "NonEquilibrium": {"density": 1.0},
     "Plan": {"task": Predation()},
-    "ExportSettings": {"save": "a.nc"},
-    "PolicySettings": {"policy": "random"},
-    "SearchSettings": {"overrides": ("gamma=interval(0.9,1)",)},
     "TrainConfig": {"task": Predation(), "algorithm": DiscreteSAC(), "logger": CsvLogger()},
     "Strokes": {"sequence": C_START.sequence},
     "FlowConfig": {"width": 64, "height": 48, "tau": 0.6},

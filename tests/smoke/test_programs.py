@@ -135,7 +135,7 @@ def test_policy_of_continuous_actions_is_trained_evaluated_and_exported(
     rollout = ["algorithm.rollout_length=2"] if algorithm == "ppo" else []
     run = _train(tmp_path, algorithm, *chosen, *rollout, pictures=1)
     _run("export-policy", f"run={run}", f"folder={tmp_path / 'policy'}")
-    _run("evaluate", f"checkpoint={tmp_path / 'policy'}", "episodes=1", "flows.num_envs=1", *EAGER)
+    _run("evaluate", f"policy={tmp_path / 'policy'}", "episodes=1", "flows.num_envs=1", *EAGER)
 
 
 @pytest.mark.usefixtures("kinematic")
@@ -156,7 +156,7 @@ def test_each_baseline_is_evaluated(task: str, policy: str) -> None:
 
 @pytest.mark.xdist_group("predation_run")
 def test_learned_policy_is_shown_and_exported(predation_run: Path, tmp_path: Path) -> None:
-    few = [f"checkpoint={predation_run}", *EAGER]
+    few = [f"policy={predation_run}", *EAGER]
     _run("export", *few, f"save={tmp_path / 'flow.nc'}", "periods=1", "frames_per_T=2")
     assert (tmp_path / "flow.nc").stat().st_size > 1000
     data = ["name=catches-v0", f"folder={tmp_path / 'data'}", "episodes=1", "flows.num_envs=1"]

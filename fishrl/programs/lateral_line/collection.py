@@ -17,13 +17,13 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
-from fishrl.envs import Flows, make_env
+from fishrl.envs import AbstractTask, Flows, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.extensions import HasFlowLabels
 from fishrl.envs.lateral_line import KNOWN
 from fishrl.files import load_tensors, staged
 from fishrl.physics.cache_key import hash_sources, make_key
-from fishrl.programs.program import TaskSettings
+from fishrl.settings import Settings
 from fishrl.training.baselines import make_pid
 from fishrl.training.callback import SILENT, Callback
 
@@ -32,11 +32,12 @@ RANDOM_SHARE = 0.5
 _SOURCES = ("fishrl.envs", "fishrl.modules", "fishrl.training.baselines", __name__)
 
 
-class CollectionSettings(TaskSettings):
+class CollectionSettings(Settings):
     """Settings of a collection.
 
     Args:
         task: task all of whose flows are classified, regardless of ``task.start_flows``.
+        preset: name of a preset; only its task is used.
         seed: seed of data, splits and fits.
         flows: number of flows, and how they are computed.
         data_folder: cache of collected data, shared by all studies that can use them.
@@ -44,6 +45,8 @@ class CollectionSettings(TaskSettings):
         max_decisions: decisions after which an episode is truncated.
     """
 
+    task: AbstractTask
+    preset: str | None = None
     seed: NonNegativeInt = 0
     flows: Flows = Flows()
     data_folder: str = "runs/lateral_line_data"
