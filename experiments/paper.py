@@ -12,8 +12,8 @@ import yaml
 from markdown_it import MarkdownIt
 
 from experiments.gait.tables import divide_work
-from fishrl.files import make_folder, staged, write_whole
-from fishrl.pages import escape, write_table
+from fishrl.files import staged, write_whole
+from fishrl.pages import write_table
 from fishrl.programs import view
 from fishrl.programs.configuration import quote
 from fishrl.programs.figures.learning_curve import Curve, draw_curves, read_metrics
@@ -109,7 +109,7 @@ def list_settings(run: Path) -> str:
 def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> None:
     """Copy and draw the figures."""
     summarize(folder / "predation", paths=runs["predation"])
-    make_folder(pictures)
+    pictures.mkdir(parents=True, exist_ok=True)
     places = {"folder": folder, "classifier": find_fitted(folder), "hunt": runs["predation"][0]}
     for name, figure in read_paper()["figures"].items():
         if "file" in figure:
@@ -154,7 +154,7 @@ def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) 
     shown = {name: figure["caption"] for name, figure in read_paper()["figures"].items()}
     parts = [
         f"# Reproduction, {scale.name}",
-        f"{sum(hours.values()):.1f} hours on {escape('; '.join(sorted(machines)))}. Settings:",
+        f"{sum(hours.values()):.1f} hours on {'; '.join(sorted(machines))}. Settings:",
         f"```yaml\n{yaml.safe_dump(to_plain(asdict(scale)), sort_keys=False)}```",
         "## The paper's numbers and ours",
         compare(transfer, read(fitted / "lateral_line.json"), captures),

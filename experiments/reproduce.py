@@ -20,7 +20,6 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, Pos
 from experiments.benchmarks.machine import describe_machine
 from experiments.paper import find_fitted, write_page
 from fishrl.__main__ import list_programs
-from fishrl.files import make_folder
 from fishrl.locks import take_lock
 from fishrl.programs.configuration import quote
 from fishrl.programs.program import program, show_command
@@ -221,7 +220,7 @@ def run_job(job: Job, record: Record, lock: int) -> None:
 def main(settings: ReproduceSettings) -> None:
     """Run what is left, and write the page."""
     scale, folder = settings.scale, settings.path
-    make_folder(folder)
+    folder.mkdir(parents=True, exist_ok=True)
     with alone(folder) as lock:
         record = Record(folder)
         left = [job.name for job in list_jobs(scale, folder) if not record.is_finished(job)]

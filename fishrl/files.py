@@ -1,8 +1,7 @@
-"""Write files atomically and into the folder that was named, and read files of tensors safely."""
+"""Write files atomically, and read files of tensors that cannot run code."""
 
 from __future__ import annotations
 
-import os
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -28,35 +27,6 @@ def write_whole(path: Path, text: str) -> None:
     """Write a file completely, or leave it unchanged and raise OSError."""
     with staged(path) as stage:
         stage.write_text(text, encoding="utf-8")
-
-
-def check_names(folder: Path) -> Path:
-    """Return a folder of results that may be written into, with all that it holds.
-
-    Its files may come from others, and writing to a symbolic link changes what it leads to.
-
-    Raises:
-        ValueError: for links in it that lead out of it, and for names that cannot be printed.
-    """
-    root = folder.resolve()
-    for place, folders, files in os.walk(root):
-        for path in (Path(place), *(Path(place, name) for name in (*folders, *files))):
-            if not path.name.isprintable():
-                raise ValueError(f"{folder}: holds {path.name!r}; rename or delete it")
-            if path.is_symlink() and not path.resolve().is_relative_to(root):
-                raise ValueError(
-                    f"{path}: is a link that leads out of {folder}; delete it, or replace it by "
-                    "what it links to"
-                )
-        if "wandb" in folders:  # whose files are always new, and link to a cache
-            folders.remove("wandb")
-    return folder
-
-
-def make_folder(folder: Path) -> Path:
-    """Make a folder for results unless there is one; errors are those of ``check_names``."""
-    folder.mkdir(parents=True, exist_ok=True)
-    return check_names(folder)
 
 
 def load_tensors(
@@ -86,9 +56,7 @@ def load_tensors(
     file = Path(path).expanduser()
     try:
         with zipfile.ZipFile(file) as parts:
-            # torch reads nothing from a part with attributes, which it takes for a folder
-            odd = [part.filename for part in parts.infolist() if part.external_attr]
-            if odd or parts.testzip() is not None:
+            if parts.testzip() is not None:
                 raise ValueError("it has changed since it was written")
         content = torch.load(file, map_location=device, weights_only=True)
         problem = "" if like is None else find_misfit(content, like)

@@ -119,7 +119,7 @@ def _render_criteria(results: Sequence[Result]) -> str:
             if tolerance in ("–", "inside"):
                 accepted = reference
             table.append((link, quantity, ours, accepted, error, verdict))
-    return write_table(SUMMARY, table, has_links=True)
+    return write_table(SUMMARY, table)
 
 
 def _render_misses(results: Sequence[Result]) -> str:

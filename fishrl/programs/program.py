@@ -35,7 +35,6 @@ from typing import Any, NoReturn, TypeVar
 import yaml
 from tqdm import tqdm
 
-from fishrl.pages import show
 from fishrl.programs.configuration import CommandLine, split_options
 from fishrl.settings import REQUIRED, TARGET, Settings, build, describe, list_fields, to_plain
 from fishrl.settings.base import find_schema
@@ -252,7 +251,7 @@ def plain_errors() -> Iterator[None]:
         if os.environ.get("FISHRL_DEBUG"):
             raise
         said = "\n".join([f"error: {error}{_find_line(error)}", *getattr(error, "__notes__", ())])
-        sys.exit("\n".join(map(show, said.split("\n"))))
+        sys.exit(said)
     except KeyboardInterrupt as end:
         print("interrupted", file=sys.stderr)
         sys.exit(exit_status(end))

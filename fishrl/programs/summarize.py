@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from fishrl.files import write_whole
-from fishrl.pages import escape, write_csv, write_table
+from fishrl.pages import write_csv, write_table
 from fishrl.programs.figures.learning_curve import RATE, Curve, draw_curves, read_metrics
 from fishrl.programs.program import program
 from fishrl.programs.statistics import (
@@ -76,7 +76,7 @@ def summarize(folder: Path, *, paths: Sequence[Path] | None = None) -> str:
         for title, column in PANELS.items()
     }
     has_curves = draw_curves(folder / "curves.png", panels)
-    text = f"# {escape(folder.resolve().name)}\n\n{text}\n```\n{advise(runs)}\n```\n"
+    text = f"# {folder.resolve().name}\n\n{text}\n```\n{advise(runs)}\n```\n"
     write_whole(folder / "summary.md", text)
     return text + (f"\ncurves: {folder / 'curves.png'}\n" if has_curves else "")
 

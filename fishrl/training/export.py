@@ -9,8 +9,8 @@ from typing import Any
 import yaml
 
 from fishrl import __version__
-from fishrl.files import check_names, write_whole
-from fishrl.pages import escape, write_csv, write_table
+from fishrl.files import write_whole
+from fishrl.pages import write_csv, write_table
 from fishrl.training.checkpoint import Checkpoint, save_checkpoint, write_sums
 from fishrl.training.logger import read_rows
 from fishrl.training.plan import Plan
@@ -37,9 +37,6 @@ def export_policy(
 ) -> Path:
     """Write the best policy of a run, without what only its training needs.
 
-    Nothing is copied unread: the folder holds weights, a classifier, settings and numbers of the
-    run, and no file that it links to.
-
     The folder is a checkpoint: ``load_policy``, ``evaluate`` and the programs take it. It holds the
     weights with their SHA-256, the settings, the run's classifier if it has one, ``metrics.csv``
     and ``summary.json``, and a model card, ``README.md``.
@@ -56,7 +53,7 @@ def export_policy(
     Raises:
         ValueError: if there is no such run or checkpoint, or the folder holds something.
     """
-    source, folder = RunFolder(check_names(Path(run).expanduser())), Path(folder).expanduser()
+    source, folder = RunFolder(Path(run).expanduser()), Path(folder).expanduser()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ValueError(f"folder = {folder}: exists; name a new one")
     best = Checkpoint.find(source.path)
@@ -112,7 +109,7 @@ def _write_card(
         for key, label in _RESULTS.items()
     ]
     lines = ["---", yaml.safe_dump(header, sort_keys=False).rstrip(), "---"]
-    lines += [f"# {escape(title)}", ""]
+    lines += [f"# {title}", ""]
     lines += [f"- {name}: {value}" for name, value in about.items()]
     lines += ["", "Final evaluation from fixed starts that were not used to choose it:", ""]
     lines += [write_table(["", *names], [[label, *values] for label, values in results])]

@@ -1,59 +1,32 @@
 """Loggers of metrics: a CSV file, and optionally Weights & Biases."""
 
-import configparser
 import csv
 import io
 import logging
 import math
 import os
-import re
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from fishrl.files import write_whole
-from fishrl.pages import show
 from fishrl.settings import describe
-from fishrl.training.plain_files import check_words
 
 logger = logging.getLogger(__name__)
 
 
-#: Settings of Weights & Biases that a file in the working directory may hold.
-_HARMLESS = {"entity", "project", "mode", "disabled"}
-#: A number or a blank.
-_CELL = re.compile(r"(-?(\d+(\.\d+)?(e[+-]\d+)?|inf))?", re.ASCII)
-
-
-def read_rows(path: Path, *, step: str = "frames") -> list[dict[str, str]]:
-    """Read a ``metrics.csv``, numbers and blanks, but for a last row that a kill has cut.
-
-    Args:
-        path: of the file.
-        step: column of the step, which every row has.
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """Read a ``metrics.csv``, numbers and blanks, without a last row that a kill has cut.
 
     Raises:
-        ValueError: naming the file and the line that is damaged.
+        ValueError: naming the file if it has no column ``frames`` or a row without a number there.
     """
-    rows: list[dict[str, str]] = []
-    problem = ""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            lines = csv.DictReader(file)
-            if step not in (names := lines.fieldnames or ()):
-                raise ValueError(f"there is no column {step!r}")
-            check_words([*names])
-            for row in lines:
-                if problem:
-                    raise ValueError(problem)
-                is_whole = all(_CELL.fullmatch(str(value)) for value in row.values())
-                if not is_whole or not row[step].isdecimal():
-                    problem = f"line {lines.line_num} is not a row of its columns"
-                else:
-                    rows.append(row)
-    except (ValueError, csv.Error) as error:
-        raise ValueError(f"{path}: damaged ({error}); repair or delete it") from error
+    with path.open(newline="", encoding="utf-8") as file:
+        lines = csv.DictReader(file)
+        rows = [row for row in lines if None not in (*row, *row.values())]
+    if "frames" not in (lines.fieldnames or ()) or not all(r["frames"].isdecimal() for r in rows):
+        raise ValueError(f"{path}: damaged (it lacks frames); repair or delete it")
     return rows
 
 
@@ -87,8 +60,7 @@ class CsvLogger:
         self._path, self._columns, self._unwritten = folder / "metrics.csv", list(columns), []
         rows: list[Mapping[str, Any]] = [{name: name for name in columns}]
         if step > 0 and self._path.is_file():
-            written = read_rows(self._path, step=columns[0])
-            rows += [row for row in written if int(row[columns[0]]) <= step]
+            rows += [row for row in read_rows(self._path) if int(row["frames"]) <= step]
         write_whole(self._path, self._render(rows))
 
     def log(self, metrics: Mapping[str, float]) -> None:
@@ -132,21 +104,6 @@ class CsvLogger:
         return text.getvalue()
 
 
-def _check_settings(path: Path) -> None:
-    """Raise ValueError for a file of the working directory that may redirect what wandb sends."""
-    files = configparser.ConfigParser(interpolation=None)
-    try:
-        files.read(path, encoding="utf-8")
-        odd = sorted({name for part in files.values() for name in part} - _HARMLESS)
-    except (configparser.Error, UnicodeDecodeError):
-        odd = ["what cannot be read"]
-    if odd:
-        raise ValueError(
-            f"{path}: sets {show(', '.join(odd))} of Weights & Biases; if it is yours, move it to "
-            "~/.config/wandb/settings, or give variables such as WANDB_BASE_URL"
-        )
-
-
 class WandbLogger(CsvLogger):
     """Weights & Biases in addition to the CSV file.
 
@@ -155,8 +112,7 @@ class WandbLogger(CsvLogger):
         is_offline: write below the run folder and upload nothing; ``wandb sync`` does so later.
             Otherwise the variable ``WANDB_MODE`` decides.
 
-    ``open`` raises ValueError where Weights & Biases refuses the run, as without an API key, and
-    for a file ``wandb/settings`` in the working directory that names a server, say.
+    ``open`` raises ValueError where Weights & Biases refuses the run, as without an API key.
     """
 
     def __init__(self, *, project: str = "fishrl", is_offline: bool = False) -> None:
@@ -171,7 +127,6 @@ class WandbLogger(CsvLogger):
         self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
     ) -> None:
         """Start the run at Weights & Biases as well; a resumed run keeps its identity."""
-        _check_settings(Path(self._wandb.Settings().settings_workspace))
         super().open(folder, columns=columns, config=config, step=step)
         identity = folder / "wandb_id"
         try:

@@ -15,7 +15,7 @@ from typing import Any, TextIO
 
 import yaml
 
-from fishrl.files import check_names, write_whole
+from fishrl.files import write_whole
 from fishrl.locks import take_lock
 from fishrl.training.interruption import Interrupted
 from fishrl.training.plain_files import Count, Stored, Tree, read_plain
@@ -81,7 +81,7 @@ class RunFolder:
 
     def checked(self) -> RunFolder:
         """Return the folder if files can be written into it, or raise ValueError."""
-        if not os.access(check_names(self.path), os.W_OK | os.X_OK):
+        if not os.access(self.path, os.W_OK | os.X_OK):
             raise _unwritable(self.path, "no write permission")
         return self
 

@@ -13,7 +13,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from torch import Tensor
 
-from fishrl.files import make_folder, staged, write_whole
+from fishrl.files import staged, write_whole
 from fishrl.physics import InPlaceSolver, Scales, compute_pressure, compute_vorticity
 
 if TYPE_CHECKING:
@@ -118,7 +118,8 @@ def write_vtk(flow: xr.Dataset, path: Path | str) -> None:
     import pyvista as pv
 
     path = Path(path)
-    folder = make_folder(path.with_suffix(""))
+    folder = path.with_suffix("")
+    folder.mkdir(parents=True, exist_ok=True)
     spacing = 1.0 / flow.attrs["nodes_per_L"]
     rows = []
     for index, time in enumerate(flow["time"].values):

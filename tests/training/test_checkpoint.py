@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import logging
 import os
-import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -124,17 +123,6 @@ def test_a_file_that_is_missing_cut_or_changed_is_noticed(tmp_path: Path) -> Non
     load(tmp_path / "last")
 
 
-def test_unknown_metadata_is_refused(tmp_path: Path) -> None:
-    save(tmp_path / "last")
-    manifest = tmp_path / "last" / "manifest.json"
-    content = json.loads(manifest.read_text())
-    content["metadata"]["command"] = "rm"
-    manifest.write_text(json.dumps(content))
-    renew_checksums(tmp_path / "last")
-    with pytest.raises(ValueError, match=r"metadata\.command: Extra inputs"):
-        load(tmp_path / "last")
-
-
 class Evil:
     def __init__(self, mark: Path) -> None:
         self.mark = mark
@@ -143,18 +131,9 @@ class Evil:
         return os.system, (f"touch {self.mark}",)
 
 
-@pytest.mark.parametrize("way", ["state.pt", "state/other.pickle", "state.tdz"])
-def test_a_checkpoint_cannot_run_code(tmp_path: Path, way: str) -> None:
+def test_a_checkpoint_cannot_run_code(tmp_path: Path) -> None:
     save(tmp_path / "last")
-    file = next((tmp_path / "last").rglob("state.pt"))
-    evil = Evil(tmp_path / "ran")
-    if way == "state.pt":
-        torch.save(evil, file)
-    else:
-        file.unlink()
-        other = file.parent / way
-        other.parent.mkdir(exist_ok=True)
-        other.write_bytes(pickle.dumps(evil))
+    torch.save(Evil(tmp_path / "ran"), next((tmp_path / "last").rglob("state.pt")))
     renew_checksums(tmp_path / "last")
     with pytest.raises(ValueError, match="corrupt or not a checkpoint"):
         load(tmp_path / "last")

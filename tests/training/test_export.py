@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from shutil import copytree
 
 import pytest
 import torch
-from markdown_it import MarkdownIt
 
 from fishrl.training import load_plan, load_policy
 from fishrl.training.export import export_policy
 from fishrl.training.logger import read_rows
 from fishrl.training.loop import Training
-from fishrl.training.run_folder import read_summary, write_json
 
 
 def test_an_exported_policy_is_the_best_of_its_run_with_a_model_card(
     whole: Training, tmp_path: Path
 ) -> None:
     run = whole.folder.path
-    run = copytree(run, tmp_path / "run")
-    odd = {"baselines": ["<script>|[x](y)"]}
-    write_json(run / "summary.json", read_summary(run / "summary.json") | odd)
     folder = export_policy(run, tmp_path / "policies" / "toy", revision="abc")
     exported, best = load_policy(folder), load_policy(run)
     for one, other in zip(exported.parameters(), best.parameters(), strict=True):
@@ -35,8 +29,6 @@ def test_an_exported_policy_is_the_best_of_its_run_with_a_model_card(
     card = (folder / "README.md").read_text()
     for words in ("task: ToyPredation", "DiscreteSAC", "abc", "| success rate |", "240 of 240"):
         assert words in card
-    page = MarkdownIt("commonmark").enable("table").render(card)
-    assert "<script" not in page and "href" not in page
     for row, full in zip(*(read_rows(each / "metrics.csv") for each in (folder, run)), strict=True):
         assert list(row) == list(full)
         for short, cell in zip(row.values(), full.values(), strict=True):

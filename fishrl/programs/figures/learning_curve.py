@@ -46,7 +46,7 @@ class Curve(NamedTuple):
 
 def read_metrics(path: str | PathLike[str]) -> dict[str, tuple[Numbers, Numbers]]:
     """Return the frames and values of each column of numbers; blank cells are left out."""
-    rows = read_rows(Path(path), step=FRAMES)
+    rows = read_rows(Path(path))
     if not rows:
         raise ValueError(f"{path}: has no rows yet")
     series = {}

@@ -27,7 +27,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig
 
 from fishrl.children import start_child
-from fishrl.files import make_folder, write_whole
+from fishrl.files import write_whole
 from fishrl.programs.configuration import parse, run_hydra, split_options
 from fishrl.programs.program import set_up_logging, show_command
 from fishrl.programs.sweeps.ending import ending_runs, leave_ending_to_sweep
@@ -88,7 +88,8 @@ def sweep(arguments: Sequence[str]) -> None:
         launch, jobs = _plan(arguments)
     for job in jobs:
         open_run(job.settings)  # refuses settings that its run does not have
-    folder = make_folder(Path(jobs[0].settings.folder).expanduser())
+    folder = Path(jobs[0].settings.folder).expanduser()
+    folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / "command.txt", f"{show_command('train', *arguments)}\n")
     is_cut_off = False
     try:
@@ -164,7 +165,7 @@ def run_job(job: Job) -> Run:
     run = read_run(path)
     if run.status == "running" or open_run(job.settings).summary is not None:
         return run
-    make_folder(path)
+    path.mkdir(parents=True, exist_ok=True)
     start = "import sys; del sys.argv[1]; from fishrl.__main__ import main; main()"
     words = ("fishrl", "train", *job.words)  # as ``find_trainings`` looks for
     is_of_joblib, parent = multiprocessing.parent_process() is not None, os.getppid()

@@ -5,9 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fishrl.files import check_names
 from fishrl.locks import take_lock
-from fishrl.pages import show
 from fishrl.programs.configuration import quote
 from fishrl.programs.program import show_command
 from fishrl.training.logger import read_rows
@@ -62,7 +60,7 @@ def read_runs(folder: Path) -> list[Run]:
 
 def read_run(path: Path) -> Run:
     """Read one run; raise ValueError if its files are damaged."""
-    folder = RunFolder(check_names(path))
+    folder = RunFolder(path)
     summary: dict[str, Any] = {}
     config: dict[str, Any] = {}
     if folder.summary.is_file():
@@ -76,7 +74,7 @@ def read_run(path: Path) -> Run:
     elif folder.failure.is_file():
         lines = folder.failure.read_text("utf-8", "replace").strip().splitlines()
         status = "finished" if summary else "failed"
-        reason = show(lines[-1]) if lines else "unknown"
+        reason = lines[-1] if lines else "unknown"
     return Run(
         path=path, status=status, reason=reason, frames=frames, config=config, summary=summary
     )
