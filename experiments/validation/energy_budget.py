@@ -1,13 +1,13 @@
 """Energy budget of a swimmer.
 
-The free swimmer of the case before starts from rest in a closed tank of 4 L × 3 L. After two beats
-the work of its muscles is kinetic energy of the water and, with bounce-back, of the body (outer
-water alone then moves freely), or dissipated. Of a fish whose heading an external torque holds, or
-turns by 60° during the two beats, the work of the torque counts with that of the muscles.
-Dissipation is the scheme's own, 2 ρ ν S : S with the rate of strain S from the non-equilibrium
-parts of the second moments, and the same with the bulk viscosity; sampled 100 times a beat. With
-the immersed boundary the water inside the body counts too, as the markers move it. What is missing
-from 1 is spent where the moments do not see it: in ghost moments, and at the skin.
+A NACA0012 fish with Carling's gait starts from rest in a closed tank of 4 L × 3 L and swims for two
+beats. The work of its muscles must then be kinetic energy, of the water and with bounce-back of the
+body, or dissipated. Where an external torque holds the heading, or turns it by 60° during the two
+beats, the work of the torque is added. Dissipation is the scheme's own, 2 ρ ν S : S with the rate
+of strain S from the non-equilibrium parts of the second moments, and the same with the bulk
+viscosity, sampled 100 times a beat. With the immersed boundary the water inside the body counts
+too, since the markers move it. The share missing from 1 is dissipated in ghost moments and at the
+skin, where second moments do not show it.
 """
 
 from collections.abc import Iterator

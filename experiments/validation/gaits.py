@@ -1,10 +1,10 @@
 """Gait library.
 
-The swimmer of the previous case, L = 100, swims with every gait of the library at Re = L² / (T ν) =
+A free NACA0012 fish of L = 100 swims from rest with every gait of the library at Re = L² / (T ν) =
 500 (the paper's Task 2) and 7142 (Tasks 0 and 1), and with Carling's gait at Reynolds numbers in
-between. Speed is that of the tenth beat; the tail speed is 0.07 nodes per step throughout. The cost
-of transport is the muscle power divided by ρ L² U, in L / T². The swimming number is Sw = 2π a(1)
-L² / (T ν); the Reynolds number of the motion is U L / ν.
+between. The speed is taken in the tenth beat; the tail speed is 0.07 nodes per step throughout. The
+cost of transport is the muscle power divided by ρ L² U, in L / T². The swimming number is Sw = 2π
+a(1) L² / (T ν); the Reynolds number of the motion is U L / ν.
 """
 
 from collections.abc import Iterator

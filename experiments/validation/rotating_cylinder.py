@@ -4,7 +4,7 @@ A cylinder in a stream at Re = U D / ν = 100 turns counter-clockwise, its surfa
 stream (α = ω D / 2 U = 1). It lies in the middle of a domain of 40 D × 40 D with a uniform inflow
 and open sides and outflow, at U = 0.1 nodes per step; of 120 D / U the last 48 are evaluated over
 whole periods. The immersed boundary has markers 0.45 nodes inside the outline and its default
-iteration; bounce-back has a sharp skin.
+iteration.
 """
 
 from collections.abc import Iterator

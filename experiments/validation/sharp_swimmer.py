@@ -1,9 +1,10 @@
-"""Swimmer with a sharp skin.
+"""Swimmer with bounce-back.
 
-The free swimmer of the case before, with `BounceBack()` instead of the immersed boundary,
-on coarse and fine grids at two Reynolds numbers. What counts is how little a coarse grid changes:
-speed over the tenth beat and mean power of the muscles in it are compared with the same fish's at
-L = 100, and L = 100 with L = 140.
+A NACA0012 fish with Carling's gait starts from rest in a closed tank of 10 L × 5 L and swims
+freely, as in *Self-propelled anguilliform swimmer*, but with `BounceBack()`, on coarse and fine
+grids at two Reynolds numbers. The criteria ask how little a coarse grid changes: the speed over the
+tenth beat and the mean power of the muscles in it are compared with the values at L = 100, and L =
+100 with L = 140.
 """
 
 from collections.abc import Iterator
