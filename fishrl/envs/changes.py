@@ -1,11 +1,10 @@
 """How the speed of a stream changes within an episode.
 
 A change begins with the first decision at or after its time and lasts ``ramp_T``, in which the
-speed follows half a cosine, so that the water is accelerated without a shock. Random speeds depend
-on a key of the episode: they are the same in any batch.
+speed follows half a cosine, so that the water is accelerated without a shock. Speeds depend on a
+key of the episode: they are the same in any batch.
 """
 
-from abc import ABC, abstractmethod
 from math import ceil
 from typing import Annotated
 
@@ -19,48 +18,20 @@ from fishrl.settings import Settings
 _DRAW = 2  # the lateral line uses 0 and 1
 
 
-class StreamChanges(Settings, ABC):
-    """Changes of a stream's speed.
-
-    Args:
-        ramp_T: duration of a change.
-    """
-
-    ramp_T: PositiveFloat = 1.0
-
-    @property
-    @abstractmethod
-    def range_bl(self) -> tuple[float, float]:
-        """Slowest and fastest speed that a change leads to, L / T."""
-
-    @abstractmethod
-    def list_times(self, num: int) -> list[float]:
-        """Return when the first ``num`` changes begin, in T."""
-
-    @abstractmethod
-    def draw_speeds(self, first: Tensor, key: Tensor, duration_T: float) -> Tensor:
-        """Return the speeds ``[E, K]`` that the K changes of an episode lead to, L / T, float64.
-
-        Args:
-            first: ``[E]`` speed at the start, L / T.
-            key: ``[E]`` int64, key of the episode.
-            duration_T: duration of the episode.
-        """
-
-
-class StreamSwitches(StreamChanges):
+class StreamSwitches(Settings):
     """Switches at equal intervals to another of several speeds, each with equal probability.
 
     Args:
+        ramp_T: duration of a change.
         interval_T: time between two changes, and before the first one.
         speeds_bl: speeds of the stream, L / T.
     """
 
+    ramp_T: PositiveFloat = 1.0
     interval_T: PositiveFloat = 20.0
     speeds_bl: Annotated[tuple[PositiveFloat, ...], Field(min_length=2)] = (1.0, 1.25, 1.5)
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.interval_T < self.ramp_T:
             raise ValueError(
                 f"interval_T = {self.interval_T}, ramp_T = {self.ramp_T}: a change must end before "
@@ -69,20 +40,18 @@ class StreamSwitches(StreamChanges):
         if len(set(self.speeds_bl)) < len(self.speeds_bl):
             raise ValueError(f"speeds_bl = {self.speeds_bl}: must be distinct")
 
-    @property
-    def range_bl(self) -> tuple[float, float]:
-        """Slowest and fastest of the speeds."""
-        return min(self.speeds_bl), max(self.speeds_bl)
-
     def list_times(self, num: int) -> list[float]:
-        """Return multiples of the interval."""
+        """Return when the first ``num`` changes begin, in T."""
         return [self.interval_T * (k + 1) for k in range(num)]
 
     def draw_speeds(self, first: Tensor, key: Tensor, duration_T: float) -> Tensor:
-        """Draw each speed from those that differ from the speed before."""
+        """Return the speeds ``[E, K]`` that the K changes of an episode lead to, L / T, float64.
+
+        ``first`` ``[E]`` are the speeds at the start, ``key`` ``[E]`` int64 keys of the episodes.
+        """
         speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=key.device)
-        num = ceil(duration_T / self.interval_T - 1e-9) - 1  # changes before the end
-        chances = draw_uniform(_DRAW, key, torch.zeros_like(key), num)  # [E, K] in [0, 1)
+        num = ceil(duration_T / self.interval_T - 1e-9) - 1
+        chances = draw_uniform(_DRAW, key, torch.zeros_like(key), num)
         drawn, now = [], first.double()
         for chance in chances.unbind(-1):
             is_other = speeds != now[:, None]

@@ -10,10 +10,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.extensions import HasFlowLabels
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.sensors import wrap_angle
-from fishrl.envs.streams import AbstractStreamTask
 from fishrl.envs.task import Sense
 from fishrl.physics.bodies.state import BodyState
 
@@ -114,36 +112,3 @@ def measure_own_motion(body: BodyState, period: int) -> dict[str, Tensor]:
         "yaw_rate": yaw_rate,
         "own_motion": torch.stack((*wave, -body.bend, body.frequency * period, yaw_rate), -1),
     }
-
-
-class AbstractSensingTask(AbstractStreamTask, HasFlowLabels):
-    """Base of tasks in a stream whose policy observes the senses that it lists.
-
-    Args:
-        reads_flow_class: select the row of frequencies by ``flow_class``, which a transform writes,
-            instead of by the true flow.
-        observes: what the policy observes, in this order, see ``list_senses``; the label is that
-            of a ``transforms.FlowLabelTransform``. A name may be repeated.
-        lateral_line: the neuromasts.
-    """
-
-    reads_flow_class: bool = False
-    observes: tuple[SenseName, ...] = DEFAULT_SENSES
-    lateral_line: LateralLine = LateralLine()
-
-    def __post_init__(self) -> None:
-        if not self.n_obs:
-            raise ValueError(f"observes = {self.observes}: name a sense other than flow_label")
-        super().__post_init__()
-
-    @property
-    def num_label_inputs(self) -> int:
-        """One per flow, or none."""
-        return len(self.flow_labels) if "flow_label" in self.observes else 0
-
-    @property
-    def senses(self) -> tuple[Sense, ...]:
-        """The senses that ``observes`` names."""
-        known = list_senses(self.lateral_line, stream_speed_bl=self.max_stream_speed_bl)
-        shown = [name for name in self.observes if name != "flow_label" or self.reads_flow_class]
-        return tuple(known[name] for name in shown)

@@ -13,7 +13,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.envs.changes import StreamChanges
+from fishrl.envs.changes import StreamSwitches
 from fishrl.envs.scene import Area
 from fishrl.envs.starts import place_fish
 from fishrl.envs.task import AbstractTask
@@ -47,7 +47,7 @@ class Stream(Settings):
     """
 
     speeds_bl: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (1.0, 1.25, 1.5)
-    changes: StreamChanges | None = None
+    changes: StreamSwitches | None = None
     has_disc: bool = True
     diameter_bl: PositiveFloat | tuple[PositiveFloat, ...] = 0.4
     face_bl: PositiveFloat = 2.5
@@ -183,7 +183,7 @@ class AbstractStreamTask(AbstractTask):
                     "or enlarge domain_bl"
                 )
         if stream.changes is not None:
-            speeds = torch.tensor(stream.changes.range_bl, dtype=torch.float64)
+            speeds = torch.tensor(stream.changes.speeds_bl, dtype=torch.float64)
             self._check_speeds(f"stream.changes = {stream.changes}", speeds)
         return config
 

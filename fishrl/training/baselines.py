@@ -119,24 +119,29 @@ def make_pursuit(task: Any, seed: int) -> PursuitPolicy:
     return PursuitPolicy(**_choose_steering(task))
 
 
+class Swimmer(NamedTuple):
+    """How fast a fish of ``body_length`` nodes swims (L / T), and its tightest turn (L)."""
+
+    body_length: int
+    speed_bl: float
+    turn_radius_bl: float
+
+
+#: Measured by ``experiments.validation.turning.turn(gain=None, num_before=8, num_turns=6,
+#: skin="bounce-back")["speed"]``; the radius is the speed in a turn of 15° per T over its rate. At
+#: L = 32 with ``body_length=32, reynolds=2000, max_wall_speed=0.1``.
+SHARP = (Swimmer(32, 0.45, 2.3), Swimmer(50, 0.57, 2.7))
+IMMERSED = (Swimmer(50, 0.4, 1.7),)  # with the immersed boundary
+BENDING = (Swimmer(32, 0.4, 2.5),)  # by 0.3 L
+
+
 @baseline("intercept", Predation)
 def make_intercept(task: Any, seed: int) -> InterceptPolicy:
-    """Make interception of the food, whose path the task reports.
-
-    Cruising speed (L / T) and radius of the tightest turn (speed in a turn of 15° per T / its rate)
-    are measured by ``experiments.validation.turning.turn(gain=None, num_before=8, num_turns=6,
-    skin="bounce-back")["speed"]``, at L = 32 with ``body_length=32, reynolds=2000,
-    max_wall_speed=0.1``. Those of the immersed boundary are of L = 50, those of a fish that bends
-    by 0.3 L of L = 32.
-    """
-    speed_bl, turn_radius_bl = 0.4, 1.7
-    if task.skin == BounceBack():
-        speed_bl, turn_radius_bl = (0.57, 2.7) if task.body_length > 40 else (0.45, 2.3)
-    if task.bends:
-        speed_bl, turn_radius_bl = 0.4, 2.5
-    return InterceptPolicy(
-        speed_bl=speed_bl, turn_radius_bl=turn_radius_bl, **_choose_steering(task)
-    )
+    """Make interception of the food, whose path the task reports, by a fish of nearest length."""
+    known = SHARP if task.skin == BounceBack() else IMMERSED
+    known = BENDING if task.bends else known
+    _, speed, radius = min(known, key=lambda fish: abs(fish.body_length - task.body_length))
+    return InterceptPolicy(speed_bl=speed, turn_radius_bl=radius, **_choose_steering(task))
 
 
 def _choose_steering(task: Predation | PredationPair) -> dict[str, Any]:

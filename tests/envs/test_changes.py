@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from fishrl.envs import KarmanGait
-from fishrl.envs.changes import StreamChanges, StreamSwitches
+from fishrl.envs.changes import StreamSwitches
 from fishrl.envs.streams import Stream
 from tests.envs.conftest import SMALL, act, make_flows, read_flows
 from tests.envs.test_real_wake import STREAM, TINY, task  # noqa: F401 - a fixture
@@ -15,7 +15,7 @@ KEYS = torch.arange(500)
 FIRST = torch.tensor([1.0, 1.25, 1.5]).double().repeat(167)[:500]
 
 
-def make_task(changes: StreamChanges, **arguments: Any) -> KarmanGait:
+def make_task(changes: StreamSwitches, **arguments: Any) -> KarmanGait:
     settings = SMALL | {"wall_margin_bl": 0.25, "time_limit": 40} | arguments
     return KarmanGait(**settings, stream=Stream(changes=changes))
 

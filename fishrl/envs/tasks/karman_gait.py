@@ -10,27 +10,27 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.control import AbstractControlTask
-from fishrl.envs.extensions import HasScene
+from fishrl.envs.extensions import HasFlowLabels, HasScene
+from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.scene import Panel, Scene, Series
-from fishrl.envs.senses import AbstractSensingTask, measure_own_motion
+from fishrl.envs.senses import DEFAULT_SENSES, SenseName, list_senses, measure_own_motion
 from fishrl.envs.sensors import compute_clearance, wrap_angle
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, Steering
-from fishrl.envs.streams import Stream
-from fishrl.envs.task import Command
+from fishrl.envs.streams import AbstractStreamTask, Stream
+from fishrl.envs.task import Command, Sense
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
 from fishrl.physics.fast.solver import InPlaceSolver
 
 
-class KarmanGait(AbstractControlTask, AbstractSensingTask, HasScene):
+class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScene):
     """Hold station behind a half disc, or in a free stream, by choosing the tail-beat frequency.
 
     Positions are of the nose relative to the middle of the disc's flat side, x downstream, in body
-    lengths. By default the policy observes x, y, their change since the last decision (``drift``),
-    the frequency in beats per T (0 before the first beat) and the velocity (x, y) of the water at
-    the lateral line, mean over neuromasts and interval, L / T. ``control`` defines the actions;
-    ``steering`` turns the fish unless they do, or bend it. An episode starts at a
-    random phase of a developed wake and terminates in the danger area or at an edge.
+    lengths. The policy observes the senses that ``observes`` lists, by default place, drift, mean
+    velocity of the water at the lateral line, and tail beat. ``control`` defines the actions;
+    ``steering`` turns the fish unless they do, or bend it. An episode starts at a random phase of a
+    developed wake and terminates in the danger area or at an edge.
 
     Also reported: ``lateral_line``, the true ``flow_index`` (of a changing stream the nearest known
     speed, and ``stream_speed`` in L / T), gear, frequency, heading, angle of attack (from upstream,
@@ -42,6 +42,11 @@ class KarmanGait(AbstractControlTask, AbstractSensingTask, HasScene):
         steering: heading controller; not used if actions turn or bend the fish.
         start_x_bl: range of the initial nose position.
         start_y_bl: the same along y.
+        reads_flow_class: select the row of frequencies by ``flow_class``, which a transform writes,
+            instead of by the true flow.
+        observes: what the policy observes, in this order, see ``senses.list_senses``; the label is
+            that of a ``transforms.FlowLabelTransform``. A name may be repeated.
+        lateral_line: the neuromasts.
         safe_area: area outside which episodes terminate.
         reward_terms: weights of the reward.
     """
@@ -61,11 +66,16 @@ class KarmanGait(AbstractControlTask, AbstractSensingTask, HasScene):
     steering: Steering = PIDSteering()
     start_x_bl: tuple[float, float] = (1.5, 2.0)
     start_y_bl: tuple[float, float] = (-0.1, 0.1)
+    reads_flow_class: bool = False
+    observes: tuple[SenseName, ...] = DEFAULT_SENSES
+    lateral_line: LateralLine = LateralLine()
     safe_area: SafeArea = SafeArea()
     reward_terms: StationReward = StationReward()
 
     def __post_init__(self) -> None:
-        num = len(self.stream.speeds_bl)
+        if not self.n_obs:
+            raise ValueError(f"observes = {self.observes}: name a sense other than flow_label")
+        num = self.num_flows
         if not self.start_flows or not all(0 <= i < num for i in self.start_flows):
             raise ValueError(
                 f"start_flows = {self.start_flows}: give one or more of the indices 0 to {num - 1}"
@@ -85,6 +95,18 @@ class KarmanGait(AbstractControlTask, AbstractSensingTask, HasScene):
     def num_flows(self) -> int:
         """Number of streams."""
         return len(self.stream.speeds_bl)
+
+    @property
+    def senses(self) -> tuple[Sense, ...]:
+        """The senses that ``observes`` names."""
+        known = list_senses(self.lateral_line, stream_speed_bl=self.max_stream_speed_bl)
+        shown = [name for name in self.observes if name != "flow_label" or self.reads_flow_class]
+        return tuple(known[name] for name in shown)
+
+    @property
+    def num_label_inputs(self) -> int:
+        """One per flow if labels are observed, or none."""
+        return self.num_flows if "flow_label" in self.observes else 0
 
     @property
     def num_samples(self) -> int:
