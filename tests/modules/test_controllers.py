@@ -83,19 +83,19 @@ def test_controllers_turn_towards_still_food_at_any_heading(
         torch.testing.assert_close(turn, torch.tensor([[share, 1.0]]), rtol=1e-5, atol=1e-5)
 
 
-def test_intercept_leads_moving_food_unlike_pursuit() -> None:
-    for way, action in ((1, CLOCKWISE), (-1, COUNTER_CLOCKWISE)):
-        # food dead ahead of a fish that faces -x; +y is to its right
-        td = seen(food=(-3.0, 0.0), heading=math.pi, food_velocity=0.3 * way)
-        assert PursuitPolicy()(td.clone())["action"].tolist() == [KEEP]
-        assert InterceptPolicy()(td)["action"].tolist() == [action]
-
-
-def test_intercept_predicts_reversals() -> None:
-    # food 4 L ahead that reverses after 0.1 L is below when the fish arrives
-    for room, action in ((math.inf, CLOCKWISE), (0.1, COUNTER_CLOCKWISE)):
-        td = seen(food=(-4.0, 0.0), heading=math.pi, food_velocity=0.3, room=room)
-        assert InterceptPolicy()(td)["action"].tolist() == [action]
+@pytest.mark.parametrize(
+    ("food_velocity", "room", "action"),
+    [
+        (0.3, math.inf, CLOCKWISE),
+        (-0.3, math.inf, COUNTER_CLOCKWISE),
+        (0.3, 0.1, COUNTER_CLOCKWISE),  # it reverses before the fish arrives
+    ],
+)
+def test_intercept_leads_moving_food(food_velocity: float, room: float, action: int) -> None:
+    # food dead ahead of a fish that faces -x; +y is to its right
+    td = seen(food=(-4.0, 0.0), heading=math.pi, food_velocity=food_velocity, room=room)
+    assert PursuitPolicy()(td.clone())["action"].tolist() == [KEEP]
+    assert InterceptPolicy()(td)["action"].tolist() == [action]
 
 
 def test_intercept_does_not_circle_close_food() -> None:

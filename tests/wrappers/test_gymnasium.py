@@ -9,7 +9,6 @@ import torch
 from gymnasium.error import Error, ResetNeeded
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from fishrl.envs import AbstractTask, Flows, Predation, make_env
 from fishrl.wrappers.gymnasium import FlowVectorEnv
@@ -178,15 +177,6 @@ def test_infos_hold_masks_and_reports() -> None:
         assert infos["action_mask"].dtype == np.int8
     with pytest.raises(ValueError, match="legal is"):
         envs.step(keep())
-
-
-def test_gymnasium_records_episode_statistics() -> None:
-    envs = RecordEpisodeStatistics(make("SameStep"))
-    envs.reset(seed=0)
-    rewards = sum(envs.step(keep())[1] for _ in range(LIMIT - 1))
-    _, last, _, _, infos = envs.step(keep())
-    assert infos["episode"]["l"].tolist() == [LIMIT, LIMIT]
-    assert infos["episode"]["r"].tolist() == (rewards + last).tolist()
 
 
 def test_invalid_arguments_are_refused() -> None:
