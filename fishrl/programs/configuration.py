@@ -50,10 +50,9 @@ class CommandLine:
     #: given the settings of the command line, returns those of a stored run
     stored: Callable[[Node], Node] | None = None
     positional: str | None = None  #: setting whose value is a word without ``=``
-    others: str | None = None  #: setting that lists all words but those of the schema
 
     def __post_init__(self) -> None:
-        """Tell hydra the groups and defaults, and to leave folders and logs alone."""
+        """Give hydra the groups and defaults; it leaves folders and logs alone."""
         quiet = [{"override hydra/job_logging": "none"}, {"override hydra/hydra_logging": "none"}]
         groups = [{name: choice} for name, choice in self.groups.items()]
         places = {"run": {"dir": "."}, "sweep": {"dir": "${folder}", "subdir": "."}}
@@ -141,12 +140,6 @@ class CommandLine:
 
     def prepare(self, arguments: Sequence[str]) -> list[str]:
         """Write a command line as hydra's overrides, which may name any key."""
-        names = [entry.name for entry in list_fields(self.schema)]
-        if self.others is not None:
-            rest = [word for word in arguments if word.partition("=")[0] not in names]
-            quoted = ",".join(quote(word) for word in rest)
-            own = [word for word in arguments if word not in rest]
-            arguments = [*own, f"{self.others}=[{quoted}]"]
         options = split_options(arguments)
         bare = {*self.groups, *self.list_defaults()}
         overrides = [self._as_override(word, bare) for word in options.overrides]

@@ -76,7 +76,7 @@ def find_interquartile_mean(values: Sequence[float]) -> Interval:
 
 
 def find_improvement(ours: Sequence[float], theirs: Sequence[float]) -> Interval:
-    """Return the probability that a run of ours is the better one of a pair; ties count half.
+    """Return the probability that a run of ours exceeds one of theirs; ties count half.
 
     Runs are drawn with replacement within each group. NaN unless both have runs.
     """

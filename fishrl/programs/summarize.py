@@ -145,7 +145,7 @@ def tabulate_differences(groups: Sequence[Group]) -> str:
 
 
 def describe_effort(finished: Sequence[Run]) -> str:
-    """Say whether the runs had equally many frames and gradient steps."""
+    """Return a sentence about frames and gradient steps, which may differ between runs."""
     efforts = {(run.summary.get("frames", 0), run.summary.get("updates", 0)) for run in finished}
     if len(efforts) == 1:
         return "{} frames and {} gradient steps each.\n".format(*efforts.pop())

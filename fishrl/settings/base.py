@@ -26,7 +26,7 @@ _CONFIG = pydantic.ConfigDict(
 
 
 class Role(Enum):
-    """What a setting of a training affects; stated in the annotation of its field."""
+    """Effect of a setting on a training; stated in the annotation of its field."""
 
     RESULT = "what is learned"  # of a field that states none; fixed once a run has begun
     CONTINUATION = "what is learned from where a run continues"
@@ -44,9 +44,9 @@ class FieldErrors(ValueError):
 class Settings:
     """Base of settings: each subclass is a frozen, keyword-only dataclass that checks its fields.
 
-    Numbers are finite, whole ones have at most 64 bits, and words can be printed in one line.
-    Nothing is converted but NumPy's numbers, whole numbers where a float is expected, and lists,
-    which become tuples. A subclass, which needs no decorator, repeats the type of a field whose
+    Numbers are finite, integers have at most 64 bits, and strings are printable and of one line.
+    Only NumPy's numbers, integers where a float is expected, and lists, which become tuples, are
+    converted. A subclass, which needs no decorator, repeats the type of a field whose
     default it changes and keeps bounds and role. Checks that concern several fields belong in
     ``__post_init__``.
 
@@ -130,17 +130,17 @@ def _check_init(self: Any, /, **values: Any) -> None:
 
 
 def _to_python(value: Any) -> Any:
-    """Return a value with lists as tuples and NumPy's numbers as Python's, none of them odd."""
+    """Convert lists to tuples and NumPy's numbers to Python's; refuse infinite and huge ones."""
     if isinstance(value, np.generic):
         value = value.item()
     if type(value) in (list, tuple):
         return tuple(_to_python(entry) for entry in value)
     if isinstance(value, int) and abs(value) >= 2**63:
-        raise ValueError("a number of at most 64 bits")
+        raise ValueError("an integer of at most 64 bits")
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError("finite")
     if isinstance(value, str) and not value.isprintable():
-        raise ValueError("a word that can be printed in one line")
+        raise ValueError("a printable string without line breaks")
     return value
 
 
@@ -168,10 +168,7 @@ def list_fields(kind: type) -> list[Entry]:
 
 
 def find_role(kind: type, key: str) -> Role:
-    """Return the role of a setting by its dotted key; that of a whole object is that of its parts.
-
-    Harmless is stronger than of the evaluation, and that than of the result.
-    """
+    """Return the role of a setting by its dotted key: its own, or else that of its object."""
     name, _, rest = key.partition(".")
     entry = next((entry for entry in list_fields(kind) if entry.name == name), None)
     if entry is None or entry.role is Role.HARMLESS:

@@ -1,4 +1,4 @@
-"""What is wrong with settings, in the words of error messages."""
+"""Error messages of settings: one line per field, with the nearest right word."""
 
 from collections.abc import Iterable
 from difflib import SequenceMatcher
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def explain(name: str, errors: list[Any], *, value: Any, known: Iterable[str]) -> str:
-    """Return a line about what pydantic found wrong with a field."""
+    """Return one line for all errors that pydantic found in a field."""
     kind = errors[0]["type"]
     if kind == "unexpected_keyword_argument":
         return f"{name}: there is no such setting{suggest(name, known)}"
@@ -25,7 +25,7 @@ def explain(name: str, errors: list[Any], *, value: Any, known: Iterable[str]) -
 
 
 def _say(error: Any) -> str:
-    """Return what a value should do, for an error of pydantic: ``be greater than 0``."""
+    """Return the condition that a value violates, such as ``be greater than 0``."""
     if error["type"] == "value_error":  # of a validator, which completes "must be ..."
         return f"be {error['ctx']['error']}"
     said = str(error["msg"]).partition(" should ")[2]

@@ -297,6 +297,7 @@ def find_class(name: str, kinds: tuple[type, ...], *, modules: Collection[str] =
     if found is None:
         raise ValueError(f"{TARGET}: {name}: module {module!r} has no {last!r}")
     if not isinstance(found, type) or not issubclass(found, kinds):
-        wanted = " or ".join(kind.__name__ for kind in kinds) or "plain value"
-        raise ValueError(f"{TARGET}: {name}: is not a subclass of {wanted}")
+        wanted = " or ".join(kind.__name__ for kind in kinds)
+        must = f"must be a subclass of {wanted}" if kinds else "this setting is no object"
+        raise ValueError(f"{TARGET}: {name}: {must}")
     return found

@@ -41,7 +41,7 @@ def test_student_sees_what_its_own_task_shows(more: tuple[SenseName, ...]) -> No
     assert torch.equal(*seen)
 
 
-def test_lesson_keeps_its_budget_and_brings_the_student_nearer_to_the_teacher() -> None:
+def test_imitation_reduces_loss_within_budget() -> None:
     lesson = make_lesson(decisions=100, episodes=2, epochs=20)
     spent, *_ = lesson.give(flows=Flows(num_envs=2, compile=False))[-1]
     assert 100 <= spent == sum(len(inputs) for inputs, *_ in lesson.seen) < 100 + 2 * 20
@@ -64,7 +64,7 @@ def test_first_layer_takes_over_the_scaling() -> None:
     assert torch.allclose(lesson.policy.module[0].module(inputs), before, atol=1e-5)
 
 
-def test_a_teacher_of_another_task_is_refused() -> None:
+def test_teacher_of_another_task_is_refused() -> None:
     with pytest.raises(
         ValueError, match=r"teacher = predation_sharp: give one .* such as gait_bend"
     ):

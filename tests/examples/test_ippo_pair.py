@@ -15,7 +15,7 @@ BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.25, "checks_per_action
 
 
 @pytest.mark.parametrize("is_central", [False, True])
-def test_torchrls_multi_agent_modules_train_fish_as_they_are(is_central: bool) -> None:
+def test_ippo_trains_with_torchrl_modules(is_central: bool) -> None:
     task = PredationPair(**BRIEF, time_limit=3)
     settings = Settings(
         frames=32, frames_per_batch=16, num_epochs=2, batch_size=8, is_central=is_central

@@ -29,7 +29,7 @@ class Eager(MaskedTask):
         return torch.zeros_like(now["x"], dtype=torch.bool)
 
 
-def test_fish_learn_to_beat_as_fast_as_they_may() -> None:
+def test_ppo_learns_the_fastest_beat() -> None:
     """Up and down by turns is the best: 1.5, 2, 1.5, ... beats; a random fish has 1.25."""
     envs = make_fish(Eager(**BRIEF, time_limit=4), flows=Flows(num_envs=8, compile=False))
     settings = Settings(total_steps=1536, num_steps=16, learning_rate=5e-3, entropy_weight=0.0)

@@ -48,7 +48,7 @@ CHANGES = [
 ]
 
 
-def test_settings_of_the_task_that_are_not_given_stay_as_in_the_run(tmp_path: Path) -> None:
+def test_task_settings_not_given_are_those_of_the_run(tmp_path: Path) -> None:
     checkpoint = store(tmp_path)
     own = describe(evaluate.main.read([checkpoint]).task)
     assert own["stream"]["speeds_bl"] == [1.0, 1.2, 1.4]
@@ -76,20 +76,18 @@ def test_settings_of_the_task_that_are_not_given_stay_as_in_the_run(tmp_path: Pa
         ),
     ],
 )
-def test_a_task_that_the_policy_does_not_fit_is_refused(
-    tmp_path: Path, argument: str, said: str
-) -> None:
+def test_task_that_policy_does_not_fit_is_refused(tmp_path: Path, argument: str, said: str) -> None:
     with pytest.raises(SystemExit) as error:
         evaluate.main(["flows.compile=false", store(tmp_path), *argument.split()])
     assert said in str(error.value)
 
 
-def test_a_policy_with_a_classifier_is_refused_for_its_task_first() -> None:
+def test_policy_task_mismatch_precedes_classifier_mismatch() -> None:
     with pytest.raises(SystemExit, match="was trained with task = 'KarmanGait'"):
         evaluate.main(["flows.compile=false", "policy=zoo/gait_sharp", "preset=quick"])
 
 
-def test_a_learned_policy_swims_in_a_changed_task(tmp_path: Path) -> None:
+def test_policy_swims_in_changed_task(tmp_path: Path) -> None:
     saved = tmp_path / "result.json"
     arguments = ["policy=zoo/gait_bend", "episodes=2", "flows.compile=false"]
     arguments += ["task.stream.has_disc=false", "task.time_limit=1", f"save={saved}"]

@@ -17,7 +17,7 @@ from fishrl.training.run_folder import write_yaml
 read = train.main.read
 
 
-def test_the_hyperparameters_of_the_paper_are_the_defaults() -> None:
+def test_defaults_are_hyperparameters_of_the_paper() -> None:
     settings = read(["preset=paper"])
     found = (settings.gamma, settings.learning_rate, settings.batch_size, settings.tau)
     assert found == (0.99, 5e-4, 64, 0.01)
@@ -37,12 +37,12 @@ def test_the_hyperparameters_of_the_paper_are_the_defaults() -> None:
         (["preset=smal"], "small"),
     ],
 )
-def test_a_typo_is_answered_with_the_nearest_right_word(arguments: list[str], right: str) -> None:
+def test_typo_suggests_nearest_setting(arguments: list[str], right: str) -> None:
     with pytest.raises(ValueError, match=f"there is no .* did you mean '{right}'"):
         read(arguments)
 
 
-def test_a_key_of_another_object_is_refused() -> None:
+def test_key_of_another_object_is_refused() -> None:
     with pytest.raises(ValueError, match=r"no 'task\.stream'.* There is: .*body_length, reynolds"):
         read(["task.stream.has_disc=false"])
     with pytest.raises(ValueError, match=r"there is no 'task\.start_flows'"):
@@ -60,7 +60,7 @@ def test_a_key_of_another_object_is_refused() -> None:
         *("experiment=x", "seed=${sed}"),
     ],
 )
-def test_what_is_no_single_setting_is_refused_in_one_line(argument: str) -> None:
+def test_malformed_overrides_are_one_line_errors(argument: str) -> None:
     with pytest.raises(ValueError, match=r"\w") as error:
         read([argument])
     assert "\n" not in str(error.value)
@@ -78,7 +78,7 @@ OWN = (
 )
 
 
-def test_settings_win_in_the_order_default_task_preset_experiment_command_line(
+def test_precedence_of_defaults_presets_and_command_line(
     tmp_path: Path,
 ) -> None:
     folder = write_yaml_file(tmp_path, "task", OWN)
@@ -98,14 +98,14 @@ def test_settings_win_in_the_order_default_task_preset_experiment_command_line(
     assert length("task=own", "experiment=own", "task.body_length=40") == 40
 
 
-def test_a_preset_brings_its_task_unless_another_one_is_chosen() -> None:
+def test_preset_brings_its_task() -> None:
     assert isinstance(read(["preset=gait_small"]).task, KarmanGait)
     settings = read(["preset=gait_small", "task=free_stream"])
     assert not settings.task.stream.has_disc
     assert settings.task.body_length == 32
 
 
-def test_programs_that_train_nothing_take_only_the_task_of_a_preset() -> None:
+def test_other_programs_take_only_task_of_preset() -> None:
     with_preset = train_lateral_line.main.read(["preset=gait_small", "flows.num_envs=3"])
     plain = train_lateral_line.main.read()
     assert with_preset.task == read(["preset=gait_small"]).task != plain.task
@@ -119,12 +119,12 @@ def stored_run(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("argument", ["flows.num_envs=4", "preset=paper", "task.time_limit=3"])
-def test_what_makes_the_result_is_fixed_in_a_run(tmp_path: Path, argument: str) -> None:
+def test_resume_refuses_fixed_settings(tmp_path: Path, argument: str) -> None:
     with pytest.raises(ValueError, match="is fixed in"):
         read([f"resume='{stored_run(tmp_path)}'", argument])
 
 
-def test_a_resume_of_no_run_or_of_several_is_an_error(tmp_path: Path) -> None:
+def test_resume_needs_one_run(tmp_path: Path) -> None:
     def check(said: str) -> None:
         with pytest.raises(ValueError, match=said):
             read([f"resume='{tmp_path}'"])
@@ -144,12 +144,12 @@ def draw_words(letters: str, num: int) -> list[str]:
     return ["".join(draw.choices(letters, k=draw.randint(1, 7))) for _ in range(num)]
 
 
-def test_a_quoted_word_is_read_as_it_is() -> None:
+def test_quoted_word_is_read_verbatim() -> None:
     for word in ["null", "1e3", "~/x", *draw_words("ab1 '\"\\${}[](),:=~#%?/é|&<>@*", 8)]:
         assert read([f"folder={quote(word)}"]).folder == word
 
 
-def test_paths_and_names_that_are_typed_are_words() -> None:
+def test_typed_paths_and_names_are_words() -> None:
     given = ["1e3", "true", "0x1", "o'brien", "[x]/é"]
     for word in [*given, *draw_words("ab1'\".%?/é|&<>@*=;!#", 12)]:
         settings = read([f"baselines=[{word}x]", f"name={word}x", f"folder={word}"])

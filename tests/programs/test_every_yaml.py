@@ -55,16 +55,14 @@ MORE = {
     ("group", "name"),
     [(group, name) for group in ("preset", "task") for name in TRAINING.list_choices()[group]],
 )
-def test_every_preset_and_task_is_composed_and_its_flow_is_within_the_limits(
-    group: str, name: str
-) -> None:
+def test_every_preset_and_task_has_a_valid_flow(group: str, name: str) -> None:
     settings = TRAINING.read([f"{group}={name}", *MORE.get(name, [])])
     assert settings.preset == (name if group == "preset" else None)
     settings.task.flow_config()  # refuses what cannot be simulated
 
 
 @pytest.mark.parametrize("yaml", YAMLS)
-def test_every_yaml_is_composed_and_runs_and_leaves_the_handlers_of_signals_as_they_were(
+def test_every_yaml_runs_and_restores_signal_handlers(
     yaml: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("WANDB_SILENT", "true")

@@ -106,7 +106,7 @@ def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.Monkey
     assert replayed.metadata["observation_space"]["action_mask"].shape == (3,)
 
 
-def test_a_hub_that_does_not_answer_is_an_error_in_one_line(
+def test_unreachable_hub_is_one_line_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.sweep
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
-def test_runs_of_joblib_save_before_it_kills_them(tmp_path: Path) -> None:
+def test_joblib_runs_save_before_they_are_killed(tmp_path: Path) -> None:
     command = ["-m", "fishrl", "train", "--multirun", "hydra/launcher=joblib", *SETTINGS]
     command += ["hydra.launcher.n_jobs=2", f"folder={tmp_path}", "seed=0,1"]
     command.append(f"logger._target_={HERE}.Lingering")

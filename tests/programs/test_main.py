@@ -21,7 +21,7 @@ def run(*words: str, command: str = sys.executable, **env: str) -> subprocess.Co
     return subprocess.run([command, *words], cwd=ROOT, env=env, capture_output=True, text=True)
 
 
-def test_fishrl_alone_lists_each_program_with_the_first_line_of_its_docstring() -> None:
+def test_fishrl_lists_its_programs() -> None:
     said = run().stdout
     assert {"train", "evaluate", "view", "export-data", "demo"} <= set(list_programs())
     assert {"configuration", "live"}.isdisjoint(list_programs())  # no programs
@@ -37,7 +37,7 @@ def test_fishrl_alone_lists_each_program_with_the_first_line_of_its_docstring() 
         (["train", "totl_frames=3"], "there is no 'totl_frames'; did you mean 'total_frames'?"),
     ],
 )
-def test_a_mistake_ends_a_program_with_one_line(words: list[str], said: str) -> None:
+def test_mistake_is_one_line_error(words: list[str], said: str) -> None:
     done = run(*words)
     assert (done.returncode, done.stderr) == (1, f"error: {said}\n")
 
@@ -53,7 +53,7 @@ def test_a_mistake_ends_a_program_with_one_line(words: list[str], said: str) -> 
         ("fishrl train preset=nix se", []),
     ],
 )
-def test_the_shell_completes_programs_choices_and_nested_settings(
+def test_shell_completes_programs_choices_and_settings(
     line: str,
     completed: list[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -69,7 +69,7 @@ def test_the_shell_completes_programs_choices_and_nested_settings(
     assert all(word.startswith(line.split()[-1]) for word in words)
 
 
-def test_bash_completes_with_the_function_that_fishrl_installs(tmp_path: Path) -> None:
+def test_bash_completion(tmp_path: Path) -> None:
     (tmp_path / "fishrl").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m fishrl "$@"\n')
     (tmp_path / "fishrl").chmod(0o700)
     (tmp_path / "conf" / "task").mkdir(parents=True)

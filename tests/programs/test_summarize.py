@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from fishrl.envs import Oracle
@@ -70,14 +69,14 @@ def sweep(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_interquartile_mean_leaves_out_a_quarter_at_either_end() -> None:
+def test_interquartile_mean_drops_outer_quarters() -> None:
     assert find_interquartile_mean([10.0, 1.0, 2.0, 3.0]).value == 2.5
     assert find_interquartile_mean([1.0, 2.0, 9.0]).value == 4.0
     assert find_interquartile_mean([*range(8), 100.0]).value == 4.0  # two at either end: 2 ... 6
     assert find_interquartile_mean([]).show(".1f") == "–"
 
 
-def test_the_probability_of_improvement_counts_pairs_and_few_seeds_get_no_interval() -> None:
+def test_probability_of_improvement_counts_pairs() -> None:
     found = find_improvement([1.0, 2.0, 3.0], [0.0, 2.0])
     assert found.value == pytest.approx(4.5 / 6.0)  # 1 > 0, 2 > 0, 3 > 0, 3 > 2, and one tie
     five, six = [1.0, 2.0, 3.0, 4.0, 5.0], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
@@ -86,17 +85,7 @@ def test_the_probability_of_improvement_counts_pairs_and_few_seeds_get_no_interv
     assert 0.0 <= found.low < found.value < found.high <= 1.0
 
 
-def test_bootstrap_intervals_cover_the_truth_about_as_often_as_they_say() -> None:
-    draw = np.random.default_rng(0)
-    hits = []
-    for _ in range(200):
-        ours, theirs = draw.normal(0.5, size=10), draw.normal(0.0, size=10)
-        found = find_improvement(list(ours), list(theirs))
-        hits.append(found.low <= 0.6382 <= found.high)  # normal distribution at 0.5 / sqrt(2)
-    assert 0.85 < np.mean(hits) <= 1.0  # percentile intervals of ten values are a little short
-
-
-def test_runs_of_different_classifiers_are_different_groups(tmp_path: Path) -> None:
+def test_classifiers_split_groups(tmp_path: Path) -> None:
     classifier = describe(Classifier(path="classifier.pt"))
     for name, content in (("a", b"1"), ("b", b"2"), ("c", b"1")):
         path = write_run(tmp_path, name, recognition=classifier)
@@ -123,7 +112,7 @@ def test_groups_are_labelled_by_the_fewest_settings(tmp_path: Path) -> None:
     assert len(groups) == 4
 
 
-def test_the_same_seed_twice_is_one_seed(tmp_path: Path) -> None:
+def test_repeated_seed_counts_once(tmp_path: Path) -> None:
     for trial, (seed, value) in enumerate([(0, 4.0), (0, 4.0), (0, 4.0), (1, 6.0)]):
         curve, summary = {0: 0.0, 100: value}, summary_of(value)
         write_run(tmp_path, f"trial_{trial}", seed=seed, curve=curve, summary=summary)
@@ -132,7 +121,7 @@ def test_the_same_seed_twice_is_one_seed(tmp_path: Path) -> None:
     assert average(group, "eval/mean_return").y.tolist() == [0.0, 5.0]
 
 
-def test_the_table_has_mean_interval_and_iqm_and_says_what_to_rerun(sweep: Path) -> None:
+def test_summary_table_has_intervals_and_reruns(sweep: Path) -> None:
     text = summarize.summarize(sweep)
     rows = [line for line in text.splitlines() if line.startswith("| 0.9")]
     assert rows[0].startswith("| 0.9 | 4 | 40.0% [-25.0%, 105.0%] | 25.0% |")
@@ -176,7 +165,7 @@ def test_groups_are_compared_seed_by_seed(tmp_path: Path) -> None:
     assert "Efforts differ" in summarize.summarize(tmp_path)
 
 
-def test_the_csv_files_hold_every_number_and_every_run(sweep: Path) -> None:
+def test_csv_files_hold_all_runs(sweep: Path) -> None:
     summarize.summarize(sweep)
     with (sweep / "summary.csv").open(newline="") as file:
         rows = {(row["gamma"], row["metric"]): row for row in csv.DictReader(file)}
@@ -192,7 +181,7 @@ def test_the_csv_files_hold_every_number_and_every_run(sweep: Path) -> None:
     assert runs["gamma_0.9-seed_3"]["mean_return"] == "10.0"
 
 
-def test_curves_are_means_over_the_runs_that_have_come_so_far(sweep: Path) -> None:
+def test_curves_average_runs_that_reached_a_frame(sweep: Path) -> None:
     groups = group_runs(read_runs(sweep))
     _, frames, mean, half, _ = average(groups[1], "eval/mean_return")
     assert frames.tolist() == [0.0, 50.0, 100.0]
@@ -201,7 +190,7 @@ def test_curves_are_means_over_the_runs_that_have_come_so_far(sweep: Path) -> No
     assert average(groups[1], "nothing").x.size == 0
 
 
-def test_runs_that_do_not_count_are_named(tmp_path: Path) -> None:
+def test_incomplete_runs_are_named(tmp_path: Path) -> None:
     (tmp_path / "lateral-line").mkdir()  # a study that trains no policy
     write_yaml(tmp_path / "lateral-line" / "config.yaml", {"num_samples": 6000, "seed": 0})
     with pytest.raises(ValueError, match="holds no runs; give the folder of a sweep"):
@@ -231,7 +220,7 @@ def hold_elsewhere(path: Path, then: str = "sys.stdin.read()") -> Iterator[Any]:
         holder.kill()
 
 
-def test_a_run_is_held_by_one_process_until_that_is_killed(tmp_path: Path) -> None:
+def test_run_is_locked_until_its_process_is_killed(tmp_path: Path) -> None:
     path = write_run(tmp_path, "run", summary=summary_of(1.0))
     with hold_elsewhere(path):
         assert read_run(path).status == "running"
@@ -242,7 +231,7 @@ def test_a_run_is_held_by_one_process_until_that_is_killed(tmp_path: Path) -> No
     RunFolder(path).hold().close()
 
 
-def test_a_file_system_without_locks_is_tolerated(
+def test_file_system_without_locks_is_tolerated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = write_run(tmp_path, "run", summary=summary_of(1.0))
@@ -257,7 +246,7 @@ def test_a_file_system_without_locks_is_tolerated(
     assert read_run(path).status == "finished"
 
 
-def test_a_failure_is_noted_and_forgotten_when_it_is_tried_again(tmp_path: Path) -> None:
+def test_failure_is_recorded_until_retry(tmp_path: Path) -> None:
     path = write_run(tmp_path, "run")
     with pytest.raises(KeyboardInterrupt), RunFolder(path).noting_failure():
         raise KeyboardInterrupt

@@ -25,7 +25,7 @@ from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import describe
 from fishrl.training import open_run
 from fishrl.training.checkpoint import Checkpoint
-from fishrl.training.run_folder import read_config, write_json, write_yaml
+from fishrl.training.run_folder import write_json, write_yaml
 from tests.modules.test_lateral_line import make as make_classifier
 from tests.physics.fast.test_workers import find_processes
 from tests.training.conftest import read_rows
@@ -66,7 +66,7 @@ def test_jobs_are_named_after_what_differs() -> None:
     assert max(map(len, long)) <= jobs.LONGEST_NAME
 
 
-def test_jobs_are_listed_and_named_before_they_run() -> None:
+def test_sweep_plans_jobs() -> None:
     line = ["flows.num_envs=2", "seed=0,1", "task.time_limit=range(3,5)", "folder=runs/my sweep"]
     planned = [job.settings for job in plan_jobs(line)]
     expected = [(f"seed_{s}-time_limit_{t}", s, 2, "runs/my sweep") for s in (0, 1) for t in (3, 4)]
@@ -95,7 +95,7 @@ def test_command_line_overrides_sweep_of_experiment(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("argument", ["name=x", "resume=runs/x", "folder=a,b"])
 def test_name_and_folder_of_runs_cannot_be_set(argument: str) -> None:
-    with pytest.raises(ValueError, match="named after what differs"):
+    with pytest.raises(ValueError, match="sets name and resume itself"):
         plan_jobs([argument])
 
 

@@ -52,7 +52,7 @@ SETTINGS = [
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
+def test_external_task_is_trained_and_evaluated(
     outside: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -88,7 +88,7 @@ def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
     assert json.loads((run / "summary.json").read_text())["frames"] == 12
 
 
-def test_every_program_takes_a_task_from_outside(outside: Path) -> None:
+def test_every_program_takes_external_task(outside: Path) -> None:
     folder = ["--config-dir", str(outside / "conf")]
     task = train.main.read([*folder, "task=hold_station", "task.leash_bl=1.25"]).task
     assert (type(task).__name__, task.leash_bl, task.body_length) == ("HoldStation", 1.25, 50)
@@ -98,7 +98,7 @@ def test_every_program_takes_a_task_from_outside(outside: Path) -> None:
     assert type(watched.task) is type(task)
 
 
-def test_help_and_presets_know_tasks_from_outside(outside: Path) -> None:
+def test_help_and_presets_know_external_tasks(outside: Path) -> None:
     folder = f"--config-dir={outside / 'conf'}"
     said = train.main.describe([folder, "task=hold_station"])
     assert re.search(r"task: one of .*follower, .*hold_station, ", said)
@@ -118,17 +118,13 @@ def test_help_and_presets_know_tasks_from_outside(outside: Path) -> None:
         ("task", "{_target_: fishrl.envs.Predation, reynold: 9}", "did you mean 'task.reynolds'?"),
     ],
 )
-def test_mistakes_in_files_of_ones_own_are_named(
-    outside: Path, file: str, text: str, said: str
-) -> None:
+def test_errors_in_user_yaml_are_named(outside: Path, file: str, text: str, said: str) -> None:
     (outside / "conf" / file / "wrong.yaml").write_text(text)
     with pytest.raises(ValueError, match=re.escape(said)):
         train.main.read([f"--config-dir={outside / 'conf'}", f"{file}=wrong"])
 
 
-def test_a_module_that_is_not_on_the_path_is_answered_with_what_to_do(
-    outside: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_module_names_pythonpath(outside: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", [p for p in sys.path if p != str(outside)])
     with pytest.raises(ValueError, match=r"hold_station.*PYTHONPATH"):
         train.main.read([f"--config-dir={outside / 'conf'}", "task=hold_station"])

@@ -77,7 +77,7 @@ def store(folder: Path, mark: Path, kind: str) -> Path:
 
 
 @pytest.mark.parametrize(("name", "kind"), CASES)
-def test_a_program_refuses_what_a_run_names(
+def test_programs_refuse_modules_a_run_names(
     tmp_path: Path, mark: Path, name: str, kind: str
 ) -> None:
     main, arguments = PROGRAMS[name]
@@ -87,9 +87,7 @@ def test_a_program_refuses_what_a_run_names(
     assert not mark.exists()
 
 
-def test_a_summary_neither_imports_nor_advises_to_import_what_a_run_names(
-    tmp_path: Path, mark: Path
-) -> None:
+def test_summary_imports_no_module_a_run_names(tmp_path: Path, mark: Path) -> None:
     store(tmp_path, mark, "module")
     assert "rerun: " in (text := summarize(tmp_path)) and "planted" not in text
     assert not mark.exists()
@@ -105,7 +103,7 @@ def test_settings_of_a_stored_run_are_not_resolved(tmp_path: Path, mark: Path) -
     assert TRAINING.read([f"resume={run}"]).preset == "${oc.env:HOME}"
 
 
-def test_a_child_imports_nothing_from_the_working_folder(
+def test_child_imports_nothing_from_working_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = ("rerun", "fishrl", "yaml", "json")
@@ -118,6 +116,6 @@ def test_a_child_imports_nothing_from_the_working_folder(
         subprocess.run([sys.executable, *words], env=make_environment(), check=True)
 
 
-def test_what_the_user_types_is_resolved(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_user_interpolations_are_resolved(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SECRET", "x")
     assert TRAINING.read(["folder=${oc.env:SECRET}"]).folder == "x"

@@ -37,9 +37,7 @@ def list_entities(path: Path) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
-def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_chosen_flows_are_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "x.rrd"
     arguments = ["policy=pid", "episodes=4", "shown_flows=[1,3]", "periods=1", f"save={path}"]
     view.main([*GAIT, "recognition=oracle", *arguments])
@@ -51,7 +49,7 @@ def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
 
 
 @pytest.mark.parametrize("ending", ["mp4", "gif"])
-def test_a_flow_is_filmed(ending: str, tmp_path: Path) -> None:
+def test_flow_is_filmed(ending: str, tmp_path: Path) -> None:
     film = f"{tmp_path}/x.{ending}"
     words = ["policy=pursuit", "flows.compile=false", "periods=1"]
     view.main([*words, f"save={film}"])
@@ -61,7 +59,7 @@ def test_a_flow_is_filmed(ending: str, tmp_path: Path) -> None:
         view.main([*words, "episodes=2", f"save={film}"])
 
 
-def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(tmp_path: Path) -> None:
+def test_policy_is_viewed_in_task_of_its_run(tmp_path: Path) -> None:
     few = ["recognition=oracle", "baselines=[]", "picture_episodes=2", "total_frames=16"]
     run(TRAINING.read([*SETTINGS, *few, f"folder={tmp_path}", "name=run"]))
     assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "episode.rrd")
@@ -71,9 +69,7 @@ def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(tmp_path: Path) -> N
     assert settings.task.stream.speeds_bl == (1.0, 1.2, 1.4)
 
 
-def test_a_path_alone_opens_the_recording_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_path_alone_opens_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[Path] = []
     monkeypatch.setattr(view, "has_screen", lambda: True)
     monkeypatch.setattr(view, "open_recording", opened.append)
@@ -83,7 +79,7 @@ def test_a_path_alone_opens_the_recording_there(
     assert opened == [Path("it's one.rrd")]
 
 
-def test_a_live_view_streams_and_stays_until_an_interrupt(
+def test_live_view_stays_until_interrupt(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = view.main.read([*GAIT, "policy=pid", "live=true", "periods=1", "port=29600"])
@@ -133,7 +129,7 @@ def test_errors_are_one_line(
     assert "\n" not in str(error.value)
 
 
-def test_a_training_with_a_live_view_learns_the_same(
+def test_live_view_does_not_change_learning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = [*SETTINGS, "recognition=oracle", f"folder={tmp_path}", "picture_episodes=0"]
@@ -160,7 +156,7 @@ def test_a_training_with_a_live_view_learns_the_same(
         assert times == sorted(times)
 
 
-def test_a_resumed_run_is_live_only_on_request(tmp_path: Path) -> None:
+def test_resumed_run_is_live_only_on_request(tmp_path: Path) -> None:
     config = TRAINING.read(["live=true"])
     write_yaml(tmp_path / "config.yaml", config.to_config())
     assert not TRAINING.read([f"resume='{tmp_path}'"]).live

@@ -88,7 +88,7 @@ class Narrowed(Derived):
     rate: Annotated[float, Field(ge=1.5)] = 2.0
 
 
-def test_a_subclass_that_changes_a_default_keeps_bounds_and_role() -> None:
+def test_changed_default_keeps_bounds_and_role() -> None:
     assert Derived(given=3).rate == 2.0 and Derived(given=3).part == Part(size=7)
     for kind, wrong in ((Derived, -1.0), (Narrowed, -1.0), (Narrowed, 1.0)):
         with pytest.raises(ValueError, match=r"^rate = .*: must be greater than or equal to"):
@@ -99,7 +99,7 @@ def test_a_subclass_that_changes_a_default_keeps_bounds_and_role() -> None:
     assert given == ("given", int, REQUIRED, Role.RESULT)
 
 
-def test_a_subclass_that_would_not_be_checked_cannot_be_made() -> None:
+def test_unchecked_subclass_is_refused() -> None:
     with pytest.raises(TypeError, match="repeat its type"):
 
         class Untyped(Derived):
@@ -115,7 +115,7 @@ def test_a_subclass_that_would_not_be_checked_cannot_be_made() -> None:
         Base(given=3)  # type: ignore[abstract]
 
 
-def test_checks_of_several_fields_raise_their_own_error() -> None:
+def test_checks_of_several_fields_keep_their_error() -> None:
     with pytest.raises(ValueError, match=r"^rate = 4.0: must be at most given = 3$") as caught:
         Derived(given=3, rate=4)
     assert not isinstance(caught.value, FieldErrors)

@@ -92,7 +92,7 @@ def try_to_make(kind: type[Settings], **values: Any) -> Settings | FieldErrors:
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_an_odd_value_is_taken_without_conversion_or_refused_in_one_line(
+def test_odd_value_is_kept_or_refused_in_one_line(
     kind: type[Settings], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     values = make_values(kind)

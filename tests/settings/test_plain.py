@@ -81,7 +81,7 @@ def errors_of(node: Any) -> list[str]:
     return str(caught.value).splitlines()
 
 
-def test_a_node_without_a_class_changes_the_default_of_the_field_that_holds_it() -> None:
+def test_node_without_target_changes_default_of_its_field() -> None:
     made = build(Training, {"task": {"line": {"size": 4}, "gait": {"speed": 2}}})
     assert made.task.line == Line(size=4, features=("pressure",))
     assert made.task.gait == Gait(speed=2)
@@ -89,7 +89,7 @@ def test_a_node_without_a_class_changes_the_default_of_the_field_that_holds_it()
     assert named.line == Line(size=4)
 
 
-def test_errors_have_a_line_each_with_dotted_keys() -> None:
+def test_each_error_has_a_line_with_dotted_key() -> None:
     node = {"task": {"line": {"size": 0, "featurs": 1}, "gap_bl": "x"}, "seed": 1.5}
     assert errors_of(node) == [
         "there is no 'task.line.featurs'; did you mean 'task.line.features'?",
@@ -124,11 +124,11 @@ def test_errors_have_a_line_each_with_dotted_keys() -> None:
     ],
     ids=str,
 )
-def test_what_does_not_fit_is_named_with_the_nearest_right_word(node: Any, line: str) -> None:
+def test_error_names_key_and_nearest_word(node: Any, line: str) -> None:
     assert line in errors_of(node)
 
 
-def test_a_plain_class_is_described_by_its_constructor() -> None:
+def test_plain_class_is_described_by_its_constructor() -> None:
     again = build(Plain, describe(Plain(size=3, names=("a", "b"))))
     assert (again.size, again.names, again.parts) == (3, ("a", "b"), None)
     with pytest.raises(ValueError, match="keep the argument 'size'"):
@@ -154,7 +154,7 @@ def test_a_plain_class_is_described_by_its_constructor() -> None:
         3,
     ],
 )
-def test_a_file_can_name_classes_of_the_expected_type_only(target: Any, tmp_path: Path) -> None:
+def test_files_name_only_classes_of_expected_type(target: Any, tmp_path: Path) -> None:
     ran = tmp_path / "ran"
     for node in (
         {"_target_": target, "command": f"touch {ran}"},
@@ -170,9 +170,7 @@ def test_a_file_can_name_classes_of_the_expected_type_only(target: Any, tmp_path
     assert not ran.exists()
 
 
-def test_a_module_of_ones_own_is_imported_if_the_user_names_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_user_named_module_is_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "swims_off.py").write_text(
         f"from {__name__} import Task\nclass Drift(Task):\n    more_bl: float = 1.0\n"
     )
@@ -185,7 +183,7 @@ def test_a_module_of_ones_own_is_imported_if_the_user_names_it(
     monkeypatch.delitem(sys.modules, "swims_off")
 
 
-def test_a_class_of_the_script_that_runs_has_the_name_that_others_import_it_by(
+def test_class_of_running_script_has_importable_name(
     tmp_path: Path,
 ) -> None:
     script = tmp_path / "own.py"
@@ -201,13 +199,13 @@ def test_a_class_of_the_script_that_runs_has_the_name_that_others_import_it_by(
 
 
 @pytest.mark.parametrize("word", ["DARK_RED", "dark-red", "dark_red"])
-def test_a_member_of_an_enumeration_is_given_by_its_name(word: str) -> None:
+def test_enumeration_member_is_given_by_name(word: str) -> None:
     assert build(Line, {"colour": word}).colour is Colour.DARK_RED
     with pytest.raises(ValueError, match="must be one of red, dark-red; did you mean 'dark-red'"):
         build(Line, {"colour": f"{word}x"})
 
 
-def test_a_word_stands_for_an_object_of_the_class_of_that_name() -> None:
+def test_word_makes_object_of_its_class() -> None:
     task = build(Task, {"gait": "wide-gait", "gaits": ["gait", "wide-gait"]})
     assert task == Task(gait=WideGait(), gaits=(Gait(), WideGait()))
     assert to_plain(task)["gait"] == {"_target_": f"{__name__}.WideGait", "speed": 2.0}
@@ -222,6 +220,6 @@ def test_arguments_of_one_class_alone_make_it() -> None:
         build(Task, {"gait": "runs/gait.pt"})
 
 
-def test_a_setting_that_is_gone_names_what_replaces_it() -> None:
+def test_removed_setting_names_replacement() -> None:
     with pytest.raises(ValueError, match=r"^swim: give gait=wide-gait$"):
         Task(swim=1)  # type: ignore[call-arg]

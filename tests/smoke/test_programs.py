@@ -118,7 +118,7 @@ def test_each_task_trains(task: str, runs: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_two_fish_are_viewed_but_not_written_as_a_dataset(tmp_path: Path) -> None:
+def test_pair_is_viewed_but_not_exported(tmp_path: Path) -> None:
     chosen = ["policy=pursuit", "task=predation_pair", *_set_task(KINEMATIC), *EAGER]
     _run("view", *chosen, f"save={tmp_path / 'flow.rrd'}", "periods=1")
     assert (tmp_path / "flow.rrd").is_file()
@@ -128,9 +128,7 @@ def test_two_fish_are_viewed_but_not_written_as_a_dataset(tmp_path: Path) -> Non
 
 @pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("algorithm", ["sac", "ppo"])
-def test_policy_of_continuous_actions_is_trained_evaluated_and_exported(
-    algorithm: str, tmp_path: Path
-) -> None:
+def test_continuous_policy_is_trained_and_exported(algorithm: str, tmp_path: Path) -> None:
     chosen = ["task=predation_continuous", f"algorithm={algorithm}", *_set_task(KINEMATIC)]
     rollout = ["algorithm.rollout_length=2"] if algorithm == "ppo" else []
     run = _train(tmp_path, algorithm, *chosen, *rollout, pictures=1)
@@ -196,7 +194,7 @@ def test_tiny_reproduction_runs_all_jobs_and_writes_its_page(tmp_path: Path) -> 
     assert "| survival with both, T | 100.0, 100.0, 100.0 |" in page
 
 
-def test_one_validation_case_and_one_benchmark_run(tmp_path: Path) -> None:
+def test_validation_case_and_benchmark_run(tmp_path: Path) -> None:
     _run("validate", "quick=true", "cases=[taylor-green]", f"folder={tmp_path}", "jobs=1")
     few = ["groups=[probe]", "body_length=80", "rounds=2", "burst=0.01", "threads=1"]
     _run("benchmark", *few, f"folder={tmp_path}")

@@ -71,7 +71,7 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
 
 
 def is_number(value: Any) -> bool:
-    """Tell whether an entry of a summary is a finite number."""
+    """Return whether an entry of a summary is a finite number."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 

@@ -133,8 +133,8 @@ def _plan(arguments: Sequence[str]) -> tuple[Launch, list[Job]]:
     keys = frozenset(key for key, each in given.items() if each.is_sweep_override())
     if {"name", "resume"} & given.keys() or "folder" in keys:
         raise ValueError(
-            "name, resume, folder: the runs of a sweep lie in one folder=..., are named after what "
-            "differs, and continue when the same command is given again"
+            "name, resume, folder: a sweep sets name and resume itself; give one folder=..., and "
+            "the same command again to continue"
         )
     folder = split_options(arguments).config_dir
     launch = Launch(() if folder is None else ("--config-dir", folder), keys)

@@ -17,15 +17,15 @@ class Run:
     """One run, as read from its folder."""
 
     path: Path  #: its folder
-    status: str  #: ``finished``, ``running``, ``failed`` (the reason is known) or ``stopped``
-    reason: str  #: why it failed, or what failed once it was finished, in one line
+    status: str  #: ``finished``, ``running``, ``failed`` (with a reason) or ``stopped``
+    reason: str  #: error that ended it, or that followed its end, in one line
     frames: int  #: frames done, according to ``metrics.csv``
-    config: dict[str, Any]  #: its settings; empty if they could not be made
+    config: dict[str, Any]  #: its settings; empty if they were invalid
     summary: dict[str, Any]  #: results of a finished run; otherwise empty
 
     @property
     def seed(self) -> str:
-        """Its seed as a word."""
+        """Seed of the run."""
         return str(self.config.get("seed", ""))
 
 
@@ -90,7 +90,7 @@ def count_frames(path: Path) -> int:
 
 
 def is_held(path: Path) -> bool:
-    """Tell whether another process writes a run; see ``RunFolder.hold``."""
+    """Return whether another process writes a run; see ``RunFolder.hold``."""
     path = RunFolder(path).lock
     if not path.is_file():
         return False
@@ -101,7 +101,7 @@ def is_held(path: Path) -> bool:
 def advise(runs: Sequence[Run], *, modules: Sequence[str] = ()) -> str:
     """Report how many runs are finished, what failed in each, and how to resume it.
 
-    ``modules`` are those that the user has named, for classes outside fishrl.
+    ``modules`` are the modules outside fishrl that the user has named.
     """
     finished = sum(run.status == "finished" for run in runs)
     lines = [f"{finished} of {len(runs)} runs finished"]

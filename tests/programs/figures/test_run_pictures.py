@@ -67,7 +67,7 @@ def scale_vorticity(recording: Recording, factor: float, name: str = "vorticity"
     return dataclasses.replace(recording, frames=frames)
 
 
-def test_every_task_gets_pictures_that_show_its_own_marks_and_outcome(tmp_path: Path) -> None:
+def test_run_pictures_are_written(tmp_path: Path) -> None:
     (tmp_path / "metrics.csv").write_text(METRICS)
     recordings = [make_recording(has_succeeded=False), make_recording(num_frames=9, lane=3.0)]
     write_run_pictures(tmp_path, recordings, baselines={"random": 0.1})
@@ -80,7 +80,7 @@ def test_every_task_gets_pictures_that_show_its_own_marks_and_outcome(tmp_path: 
         assert 9 < picture.n_frames <= 9 + 15  # and its end is held
 
 
-def test_paths_are_drawn_among_the_tasks_own_obstacles_in_its_own_words(
+def test_trajectories_show_obstacles_and_endings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     figures, save = list[Figure](), Figure.savefig
@@ -109,7 +109,7 @@ def test_paths_are_drawn_among_the_tasks_own_obstacles_in_its_own_words(
     assert "4.0 T, caught" in words and "food" not in words
 
 
-def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number() -> None:
+def test_colour_limits_are_symmetric_and_round() -> None:
     recording = make_recording()
     limit = film.choose_limit(recording)
     assert limit == film.choose_limit(scale_vorticity(recording, -1.0))
@@ -119,7 +119,7 @@ def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number() -> No
     assert film.choose_limit(dataclasses.replace(recording, scene=scene)) == 4.2
 
 
-def test_flows_are_drawn_in_body_lengths_with_the_field_that_their_scene_has_chosen() -> None:
+def test_flow_axes_are_in_body_lengths() -> None:
     recording = scale_vorticity(make_recording(num_frames=5), 0.1, "speed")
     recording.scene = recording.scene.choose_field("speed")
     figure, flow = film.make_figure(film.fit_colours(recording))
@@ -133,7 +133,7 @@ def test_flows_are_drawn_in_body_lengths_with_the_field_that_their_scene_has_cho
 
 
 @pytest.mark.parametrize("name", ["discrete_sac", "dqn", "drqn", "sac", "ppo"])
-def test_losses_and_entropy_of_every_algorithm_are_drawn(
+def test_losses_and_entropy_are_drawn(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[str] = []
@@ -150,13 +150,13 @@ def test_losses_and_entropy_of_every_algorithm_are_drawn(
 
 
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "frames,b\n", "frames,b\n1,2\n"])
-def test_metrics_without_a_known_column_are_refused(tmp_path: Path, text: str) -> None:
+def test_metrics_without_known_column_are_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "metrics.csv").write_text(text)
     with pytest.raises(ValueError, match=r"no column 'frames'|no rows yet|needs one or more of"):
         write_learning_curve(tmp_path / "metrics.csv", tmp_path / "x.png")
 
 
-def test_a_painter_keeps_paths_of_one_episode_but_no_fields_of_earlier_frames() -> None:
+def test_painter_keeps_paths_but_releases_fields() -> None:
     recording = make_recording(num_frames=4)
     painter = film.FramePainter(recording.scene.choose_field("vorticity", limit=5.0), dpi=40.0)
     begin = dataclasses.replace(recording.frames[0], begins=True)
@@ -172,7 +172,7 @@ def test_a_painter_keeps_paths_of_one_episode_but_no_fields_of_earlier_frames() 
     assert kept() is None
 
 
-def test_pictures_equal_those_that_are_drawn_whole() -> None:
+def test_partial_redraw_equals_whole_picture() -> None:
     scene, pictures = scenes.make_scene(), []
     painter, whole = film.FramePainter(scene, dpi=100.0), film.FramePainter(scene, dpi=100.0)
     for artist in whole._changing:
@@ -187,7 +187,7 @@ def test_pictures_equal_those_that_are_drawn_whole() -> None:
     assert not np.array_equal(pictures[0], pictures[-1])
 
 
-def test_points_are_painted_in_the_colours_of_their_values() -> None:
+def test_points_have_colours_of_their_values() -> None:
     painter, frame = film.FramePainter(scenes.make_scene(), dpi=100.0), scenes.make_frame(0)
 
     def paint(felt: float) -> Any:
@@ -201,7 +201,7 @@ def test_points_are_painted_in_the_colours_of_their_values() -> None:
     assert purple[dots][:, 2].mean() > purple[dots][:, 1].mean()
 
 
-def test_a_film_shows_where_an_episode_ends() -> None:
+def test_film_shows_safe_area() -> None:
     scene, frame = scenes.make_scene(), scenes.make_frame(0)
     shown, plain = (
         film.FramePainter(each, dpi=100.0).paint(frame).astype(int)

@@ -31,7 +31,7 @@ def collected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TensorDic
     return folder, collect(make_settings(folder))
 
 
-def test_collected_episodes_hold_every_feature_with_the_true_flow(
+def test_collected_episodes_hold_features_and_labels(
     collected: tuple[Path, TensorDict],
 ) -> None:
     _, episodes = collected
@@ -44,7 +44,7 @@ def test_collected_episodes_hold_every_feature_with_the_true_flow(
     assert speed[1] > 1.2 * speed[0] > 0.0
 
 
-def test_of_a_changing_stream_each_decision_has_the_flow_of_its_time(tmp_path: Path) -> None:
+def test_changing_stream_labels_each_decision(tmp_path: Path) -> None:
     speeds = (1.0, 1.5)
     changes = StreamSwitches(speeds_bl=speeds, interval_T=0.5, ramp_T=0.25)
     stream = Stream(speeds_bl=speeds, changes=changes, has_disc=False, face_bl=1.0)
@@ -70,7 +70,7 @@ def test_actions_hold_stations_or_are_random(
     assert holding[:, 2, ..., slip].abs().mean() > drawn[:, 2, ..., slip].abs().mean()
 
 
-def test_an_interrupted_collection_continues_exactly_and_a_whole_one_is_read(
+def test_interrupted_collection_continues_exactly(
     collected: tuple[Path, TensorDict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, episodes = collected
@@ -85,7 +85,7 @@ def test_an_interrupted_collection_continues_exactly_and_a_whole_one_is_read(
         collect(settings)
 
 
-def test_other_sensors_share_the_data_and_other_flows_and_seeds_do_not(tmp_path: Path) -> None:
+def test_sensor_layouts_share_collected_data(tmp_path: Path) -> None:
     noisy = LateralLine(num_neuromasts=3, num_samples=INTERVAL, noise=0.1)
     shared = ({"lateral_line": noisy}, {"reads_flow_class": True})
     place = make_settings(tmp_path).place

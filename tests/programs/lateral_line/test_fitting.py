@@ -40,7 +40,7 @@ def windows_of(data: TensorDict) -> list[list[int]]:
     return data["lateral_line"].squeeze(-1).squeeze(-1).int().tolist()
 
 
-def test_a_mirrored_signal_is_what_a_mirrored_fish_feels() -> None:
+def test_mirrored_signal_is_that_of_mirrored_fish() -> None:
     length, size = 20, (50, 60)
     generator = torch.Generator().manual_seed(0)
     rho, ux, uy = 0.02 * torch.randn(3, 1, *size, generator=generator)
@@ -62,7 +62,7 @@ def test_a_mirrored_signal_is_what_a_mirrored_fish_feels() -> None:
     assert (felt[0] - felt[1]).abs().max() > 0.1
 
 
-def test_a_longer_window_reaches_back_and_repeats_the_first_sample_before_the_start() -> None:
+def test_window_before_start_repeats_first_sample() -> None:
     data = cut_windows(make_numbered_episodes(), num_samples=6)
     data = data[data["is_whole"]]
     rows = ((0, 0, 0, 0, 0, 0), (0, 0, 4, 5, 6, 7), (6, 7, 8, 9, 10, 11))
@@ -71,7 +71,7 @@ def test_a_longer_window_reaches_back_and_repeats_the_first_sample_before_the_st
     assert data["flow_index"].tolist() == [0, 0, 0, 1, 1]
 
 
-def test_a_window_ends_at_every_sample_but_the_repeated_ones_of_the_reset() -> None:
+def test_windows_end_at_every_sample_after_reset() -> None:
     data = cut_windows(make_numbered_episodes(), num_samples=1)
     assert windows_of(data) == [[k] for k in (0, *range(4, 12), 12, *range(16, 20))]
     data = cut_windows(make_numbered_episodes(), num_samples=2)
@@ -80,7 +80,7 @@ def test_a_window_ends_at_every_sample_but_the_repeated_ones_of_the_reset() -> N
     assert data["is_whole"].tolist() == [True, *later, *later, True, *later]
 
 
-def test_a_classifier_reads_some_features_or_their_mean() -> None:
+def test_classifier_reads_selected_features_or_mean() -> None:
     episodes = make_episodes()
     signal = episodes["lateral_line"][0, 0, -1:]  # of the first whole interval
     lines = (
@@ -93,7 +93,7 @@ def test_a_classifier_reads_some_features_or_their_mean() -> None:
     torch.testing.assert_close(mean["lateral_line"], each["lateral_line"].mean(-2, keepdim=True))
 
 
-def test_classifier_learns_the_difference_between_flows_from_informative_features() -> None:
+def test_classifier_learns_from_informative_features() -> None:
     line = LateralLine(num_neuromasts=3, num_samples=INTERVAL, features=("t", "x"))
     place = make_settings(task=make_task(lateral_line=line), reads=("t", "x"), window=1)
     fits = [fit(each, make_episodes()) for each in (make_settings(window=INTERVAL), place)]
@@ -101,7 +101,7 @@ def test_classifier_learns_the_difference_between_flows_from_informative_feature
     assert fits[1].held_out.accuracy < 0.75
 
 
-def test_program_writes_numbers_figures_and_a_classifier_that_the_task_takes(
+def test_program_writes_classifier_and_figures(
     tmp_path: Path,
 ) -> None:
     settings, task = make_settings(num_epochs=10, paper_epochs=3), make_task()
