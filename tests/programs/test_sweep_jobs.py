@@ -146,12 +146,6 @@ def test_run_continues_only_with_same_settings(
         train.main(["--multirun", f"folder={tmp_path}", "gamma=0.5"])
 
 
-def test_settings_adapted_by_algorithm_match_run(tmp_path: Path) -> None:
-    job = begin(tmp_path, "algorithm=ppo")
-    assert read_config(job.path / "config.yaml")["buffer_size"] == job.settings.flows.num_envs * 32
-    assert open_run(job.settings).state == "new"
-
-
 def test_other_classifier_makes_another_run(tmp_path: Path) -> None:
     files = [tmp_path / name for name in "abc"]
     for file, width in ((files[0], 3), (files[2], 4)):
