@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, PositiveInt
 from torch import nn
@@ -22,20 +22,19 @@ from torchrl import checkpoint as torchrl_checkpoint
 from fishrl.files import describe_tensor, load_tensors, write_whole
 from fishrl.training.plain_files import Count, Stored, Tree, read_plain
 from fishrl.training.policy_spec import CHECKED, PolicySpec
-from fishrl.training.policy_zoo import find_folder
 from fishrl.training.recognition import locate
 from fishrl.training.run_folder import refuse_many
+from fishrl.zoo import find_folder
 
 MANIFEST, SUMS = "manifest.json", "SHA256SUMS"
 
 
-class _Metadata(Stored, extra="forbid"):
+class _Metadata(Stored):
     task: str
     is_continuous: bool
     num_inputs: PositiveInt
     num_stacked: PositiveInt
     num_actions: PositiveInt
-    preset: str | None
     frames: Count
     config: Tree
 
@@ -43,17 +42,10 @@ class _Metadata(Stored, extra="forbid"):
 class _Component(Stored):
     path: Annotated[str, Field(pattern=r"^components/[\w-]+$")]
 
-    @property
-    def file(self) -> str:
-        """The only one that is read."""
-        return f"{self.path}/state.pt"
-
 
 class _Manifest(Stored):
-    """What is read of TorchRL's ``manifest.json``."""
+    """The entries of TorchRL's ``manifest.json`` that are read."""
 
-    format: Literal["torchrl.checkpoint"]
-    format_version: Literal[1]
     components: dict[str, _Component]
     metadata: _Metadata
 
@@ -83,7 +75,6 @@ def save_checkpoint(
     stage = path.with_name(f".{fresh.name}") / "whole"
     metadata = {
         **{name: getattr(spec, name) for name in CHECKED},
-        "preset": config.get("preset"),
         "frames": frames,
         "config": config,
     }
@@ -110,7 +101,11 @@ def save_checkpoint(
         if isinstance(error, RuntimeError) and not any(word in str(error) for word in words):
             raise
         _clear(path)
-        raise _not_written(path, error) from error
+        free = f"{shutil.disk_usage(path.parent).free / 1e6:.1f} MB are free"
+        raise CheckpointNotWritten(
+            f"checkpoint {path}: cannot be written ({getattr(error, 'strerror', None) or free}); "
+            "the one before is unchanged: free space, or change the permissions of the folder"
+        ) from error
 
 
 def write_sums(folder: Path) -> None:
@@ -169,7 +164,8 @@ class Checkpoint:
     @cached_property
     def files(self) -> dict[str, Path]:
         """File of each component's state; ValueError if one is missing or damaged."""
-        files = {name: part.file for name, part in self.manifest.components.items()}
+        components = self.manifest.components.items()
+        files = {name: f"{part.path}/state.pt" for name, part in components}
         try:
             _check_files(self.path, files.values())
         except (OSError, ValueError) as error:
@@ -267,18 +263,6 @@ def _flush(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _not_written(path: Path, error: Exception) -> CheckpointNotWritten:
-    reason = error.strerror if isinstance(error, OSError) else None
-    if reason is None:
-        reason = f"writing failed with {shutil.disk_usage(path.parent).free / 1e6:.1f} MB free"
-    frames = _read_frames(path) if path.exists() else None
-    kept = "there is none yet" if frames is None else f"the one of frame {frames} is still there"
-    return CheckpointNotWritten(
-        f"checkpoint {path}: cannot be written ({reason}); {kept}: free space, or change the "
-        "permissions of the folder"
-    )
 
 
 def _corrupt(path: Path, reason: object) -> ValueError:

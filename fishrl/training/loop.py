@@ -16,9 +16,9 @@ import torch
 from tensordict import TensorDictBase
 
 from fishrl.envs.agents import split_fish
-from fishrl.envs.episodes import Episodes, Policy, name_counted, name_terms, run_episodes
+from fishrl.envs.episodes import Policy, name_counted, name_terms, run_episodes
 from fishrl.settings import describe
-from fishrl.torch_state import one_thread, with_own_state
+from fishrl.torch_state import in_own_state, one_thread
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import Checkpoint, CheckpointNotWritten, save_checkpoint
@@ -32,7 +32,6 @@ from fishrl.training.run_folder import write_json, write_yaml
 logger = logging.getLogger(__name__)
 
 
-@partial(with_own_state, is_learning=True)
 class Training:
     """One run: collect, update, evaluate and save until ``total_frames`` is reached.
 
@@ -42,6 +41,7 @@ class Training:
         interruption: remembers the signal that ends the run.
     """
 
+    @partial(in_own_state, is_learning=True)
     def __init__(
         self,
         opened: Opened,
@@ -84,6 +84,7 @@ class Training:
             self.collector = make_collector(self.opened, self.learner, seed=TRAIN_SEED + seed)
         self.callbacks.on_begin(self.collector.env)
 
+    @partial(in_own_state, is_learning=True)
     def run(self) -> dict[str, Any]:
         """Train, evaluate the best policy and the baselines, and return the summary.
 
@@ -103,7 +104,7 @@ class Training:
         except Interrupted:
             self._save(self.folder.last)
             raise
-        return self.finish()
+        return self._finish()
 
     def _learn(self) -> None:
         """Collect, store and update until ``total_frames``; evaluate, log and save when due."""
@@ -117,14 +118,13 @@ class Training:
                 batch, seconds = self._collect(batches)
                 counters.diverged += self.learner.store(split_fish(batch)) // self.task.num_fish
                 self._update()
-                counters.pending = self._measure(batch.numel(), seconds)
+                counters.pending = {
+                    **counters.metrics(),
+                    **{f"train/{name}": value for name, value in counters.losses.items()},
+                    "time/frames_per_second": batch.numel() / seconds,
+                    "time/mlups": compute_mlups(self.task, batch.numel(), seconds),
+                }
             self._conclude(counters.pending)
-        if counters.updates == 0 and total > self.plan.warmup_frames:
-            logger.warning(
-                "no gradient step in %d frames: fewer than PPO's first rollout, or than "
-                "updates_per_frame asks for one step; raise total_frames",
-                counters.frames,
-            )
 
     def _collect(self, batches: Iterator[TensorDictBase]) -> tuple[TensorDictBase, float]:
         """Step every flow once; return the transitions ``[num_envs]`` and the seconds taken."""
@@ -149,15 +149,6 @@ class Training:
                 losses = self.learner.update()
                 counters.updates += 1
         counters.losses = {name: float(losses[name]) for name in self.learner.reports}
-
-    def _measure(self, num_frames: int, seconds: float) -> dict[str, float]:
-        """Return the metrics of a round without those of an evaluation."""
-        return {
-            **self.counters.metrics(),
-            **{f"train/{name}": value for name, value in self.counters.losses.items()},
-            "time/frames_per_second": num_frames / seconds,
-            "time/mlups": compute_mlups(self.task, num_frames, seconds),
-        }
 
     def _conclude(self, metrics: dict[str, float]) -> None:
         """Evaluate, log and save if due after a round with these metrics."""
@@ -186,7 +177,7 @@ class Training:
         """Evaluate the greedy policy and keep it if it is the best so far."""
         self.callbacks.on_phase("evaluation")
         actor, num, before = self.learner.actor, self.plan.eval_episodes, self.counters.best
-        metrics = self.evaluate(actor, num, seed=SELECTION_SEED, is_counted=False).metrics()
+        metrics = self._evaluate(actor, num, seed=SELECTION_SEED, is_counted=False)
         score = [metrics["success_rate"], metrics["mean_return"]]
         if score >= before:
             self.counters.best = score
@@ -194,7 +185,7 @@ class Training:
                 self.counters.best = before
         return {f"eval/{name}": value for name, value in metrics.items()}
 
-    def finish(self) -> dict[str, Any]:
+    def _finish(self) -> dict[str, Any]:
         """Evaluate the best policy and the baselines; write and return the summary."""
         counters, actor = self.counters, self.learner.actor
         best = Checkpoint.find(self.folder.path, which="best")
@@ -236,14 +227,17 @@ class Training:
             policy: Policy = self.learner.actor
             if name:
                 policy = make_baseline(name, task=self.task, seed=FINAL_SEED)
-            result = self.evaluate(policy, num, seed=FINAL_SEED).metrics()
+            result = self._evaluate(policy, num, seed=FINAL_SEED)
             metrics |= {f"{name}_{key}" if name else key: value for key, value in result.items()}
         return metrics
 
-    def evaluate(self, policy: Policy, num: int, *, seed: int, is_counted: bool = True) -> Episodes:
-        """Run one episode from each of ``num`` fixed starts, and leave the flows as they were.
+    def _evaluate(
+        self, policy: Policy, num: int, *, seed: int, is_counted: bool = True
+    ) -> dict[str, float]:
+        """Return the metrics of one episode from each of ``num`` fixed starts.
 
-        A learned policy acts greedily; callbacks count the episodes if ``is_counted``.
+        A learned policy acts greedily; callbacks count the episodes if ``is_counted``. The flows
+        continue as they were.
         """
         try:
             with self.collector.lend_env() as env:
@@ -253,7 +247,7 @@ class Training:
                     fixed_starts(self.task, num, seed=seed),
                     on_step=lambda start_of, step: self.callbacks.on_step(step),
                     on_episodes=self.callbacks.on_progress if is_counted else None,
-                )
+                ).metrics()
         finally:
             self.callbacks.on_new_episodes()
 

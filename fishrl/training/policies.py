@@ -20,7 +20,7 @@ from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.policy_zoo import PREFIX, list_policies
+from fishrl.zoo import PREFIX, list_policies
 
 
 def load_plan(checkpoint: str | Path) -> Plan:

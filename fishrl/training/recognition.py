@@ -17,7 +17,7 @@ from fishrl.envs.extensions import find_extension
 from fishrl.envs.recognition import Recognition
 from fishrl.files import staged
 from fishrl.modules import LateralLineClassifier
-from fishrl.training.policy_zoo import find_folder
+from fishrl.zoo import find_folder
 
 #: File of a classifier in the folder of a run or a policy.
 FILE = "classifier.pt"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import logging
 import math
 import os
 import traceback
@@ -18,10 +17,8 @@ import yaml
 from fishrl.files import write_whole
 from fishrl.locks import take_lock
 from fishrl.training.interruption import Interrupted
-from fishrl.training.plain_files import Count, Stored, Tree, read_plain
+from fishrl.training.plain_files import Tree, read_plain
 from fishrl.training.recognition import locate
-
-logger = logging.getLogger(__name__)
 
 
 class HeldError(ValueError):
@@ -56,15 +53,10 @@ class RunFolder:
                 path.mkdir(parents=True)
                 break
             except FileExistsError:
-                if not path.is_dir():
-                    raise _unwritable(path, "a file is in the way") from None
                 if reuse and not cls(path).config.is_file():
-                    number = 1
                     break
             except OSError as error:
                 raise _unwritable(path, error.strerror or str(error)) from error
-        if number > 1:
-            logger.info("%s exists and is left as it is: this run writes %s", base / name, path)
         return cls(path).checked()
 
     @classmethod
@@ -86,15 +78,11 @@ class RunFolder:
         return self
 
     def has_begun(self) -> bool:
-        """Tell whether there is anything to resume: a checkpoint, or frames without one.
-
-        ``..<name>`` is what a process left that was killed while writing a checkpoint.
-        """
-        if any(not path.name.startswith("..") for path in self.last.parent.glob("*")):
+        """Return whether there is anything to resume: a checkpoint, or frames without one."""
+        left = "..*"  # by a process that was killed while writing a checkpoint
+        if any(not path.match(left) for path in self.last.parent.glob("*")):
             return True
-        if not self.metrics.is_file():
-            return False
-        return len(self.metrics.read_bytes().splitlines()) > 1
+        return self.metrics.is_file() and len(self.metrics.read_bytes().splitlines()) > 1
 
     def hold(self) -> TextIO:
         """Lock the run until the file is closed or the process ends, or raise HeldError."""
@@ -134,25 +122,10 @@ def read_config(path: Path) -> dict[str, Any]:
     return locate(config, path.parent)
 
 
-class _Summary(Stored, extra="allow"):
-    """A ``summary.json``: numbers, and these entries."""
-
-    __pydantic_extra__: dict[str, int | float | None]
-
-    task: str = ""
-    success: str = ""
-    preset: str | None = None
-    baselines: list[str] = []
-    algorithm: Tree = {}
-    seed: int = 0
-    frames: Count = 0
-    updates: Count = 0
-
-
 def read_summary(path: Path) -> dict[str, Any]:
     """Read the ``summary.json`` of a run; raise ValueError if it is damaged."""
-    summary: _Summary = read_plain(path, _Summary, what="the summary of a run")
-    return summary.model_dump(exclude_unset=True)
+    summary: dict[str, Any] = read_plain(path, Tree, what="the summary of a run")
+    return summary
 
 
 def write_json(path: Path, values: Mapping[str, Any] | Sequence[Any]) -> None:

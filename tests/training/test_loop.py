@@ -138,14 +138,14 @@ def test_final_evaluation_uses_the_best_checkpoint(
     num_captures = iter([1, 2, 9, 5, 3, 4, 0, 0, 0, 0])
     seen: list[dict[str, torch.Tensor]] = []
 
-    def scripted(policy: Any, *_: Any, **__: Any) -> Episodes:
+    def scripted(policy: Any, *_: Any, **__: Any) -> dict[str, float]:
         if policy is training.learner.actor:
             seen.append(deepcopy(policy.state_dict()))
         captured, zero = torch.arange(10) < next(num_captures), torch.zeros(10)
         ends = {"succeeded": captured, "terminated": captured, "diverged": zero.bool()}
-        return Episodes(returns=zero, lengths=zero, interval_T=1.0, **ends)
+        return Episodes(returns=zero, lengths=zero, interval_T=1.0, **ends).metrics()
 
-    monkeypatch.setattr(training, "evaluate", scripted)
+    monkeypatch.setattr(training, "_evaluate", scripted)
     assert training.run()["best_checkpoint_frames"] == 120
     last = seen.pop()
     same = [all(torch.equal(last[name], each[name]) for name in last) for each in seen]
@@ -249,8 +249,7 @@ def test_toy_env_passes_check_env_specs(is_continuous: bool) -> None:
 
 
 def test_run_without_gradient_steps_warns_once(toy: Toy, caplog: pytest.LogCaptureFixture) -> None:
-    ppo = {"algorithm": PPO(rollout_length=16)}
-    for few, num_warnings in (({"total_frames": 96}, 0), ({}, 1), (ppo, 1)):
+    for few, num_warnings in (({"total_frames": 96}, 0), ({}, 1)):
         caplog.clear()
         toy.begin(**{"total_frames": 80} | QUICK | few).run()
         said = [each for each in caplog.records if "no gradient step" in each.getMessage()]
