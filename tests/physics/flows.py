@@ -7,18 +7,36 @@ import torch
 from torch import Tensor
 
 from fishrl.physics import FlowConfig, FlowState, ImmersedBoundary, InPlaceSolver, Scales
-from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.cases import make_swimmer_config
-from fishrl.physics.flow import FlowParams, make_params
+from fishrl.physics.flow import FlowParams, make_params, make_uniform
 from fishrl.physics.step import step
 
 SCALES = Scales.from_budget(body_length=24, reynolds=800.0, max_wall_speed=0.1)
+ONE = torch.ones(1, dtype=torch.float64)
 
 
 def make_tank(**changes: Any) -> FlowConfig:
     """Return a tank of 4 L x 3 L for the fish of ``SCALES``, with an immersed boundary."""
     changes = {"skin": ImmersedBoundary()} | changes
     return make_swimmer_config(SCALES, length_bl=4, height_bl=3, **changes)
+
+
+def place_body(
+    x: float, y: float, heading: float = 0.0, frequency: float = 0.0, **values: Any
+) -> BodyState:
+    """Return one body in float64, with further values of its state."""
+    body = make_body(torch.tensor([[x, y]], dtype=torch.float64), heading * ONE, frequency * ONE)
+    given = {name: torch.tensor([v], dtype=torch.float64) for name, v in values.items()}
+    return body._replace(**given)
+
+
+def start_stream(
+    config: FlowConfig, *bodies: BodyState, velocity: tuple[float, float] = (0.0, 0.0)
+) -> FlowState:
+    """Return one flow in float64 that has a velocity everywhere."""
+    none = torch.zeros(1, config.height, config.width, dtype=torch.float64)
+    return FlowState(make_uniform(none, none + velocity[0], none + velocity[1]), bodies)
 
 
 def advance(

@@ -58,9 +58,7 @@ def collide_with_force(f: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("force", [(0.0, 0.0), (0.02, -0.03)])
-def test_collision_equals_its_matrix_form_and_the_force_guo_2002(
-    force: tuple[float, float],
-) -> None:
+def test_collision_equals_its_matrix_form_and_guos_force(force: tuple[float, float]) -> None:
     """The paper's implicit Eq. 1 is the same in f - g / 2."""
     f, g = make_populations(), torch.tensor(force, dtype=torch.float64)
     rho = f.sum()

@@ -17,10 +17,11 @@ from fishrl.physics import (
 
 TIME = torch.arange(1000, dtype=torch.float64) * 0.1  # 9.37 periods and a bit
 FREQUENCY = 0.0937
+Measure = Callable[[Tensor, float], object]
 LIFT = 0.3 + 0.8 * torch.sin(2.0 * math.pi * FREQUENCY * TIME + 0.4)
 
 
-def test_cycles_of_a_sine_are_its_own_although_the_record_ends_within_a_period() -> None:
+def test_cycles_of_a_sine_do_not_depend_on_where_the_record_ends() -> None:
     """Tolerances: linear and parabolic interpolation at 107 samples per period, (pi/107)^2 ~ 1e-3
     of a crossing's own distance, far less after cancelling between periods."""
     cycles = measure_cycles(LIFT, 0.1)
@@ -57,16 +58,14 @@ def test_cycles_need_two_whole_periods_and_a_spectrum_four_samples() -> None:
     ],
 )
 @pytest.mark.parametrize("first", [0, 990])
-def test_what_is_measured_of_a_diverged_flow_says_so(
-    measure: Callable[[Tensor, float], object], first: int
-) -> None:
+def test_measures_of_a_diverged_flow_are_refused(measure: Measure, first: int) -> None:
     lift = LIFT.clone()
     lift[first:] = torch.nan
     with pytest.raises(ValueError, match="diverged"):
         measure(lift, 0.1)
 
 
-def test_spectrum_and_crossings_agree_and_coefficients_follow_their_definitions() -> None:
+def test_spectrum_agrees_with_crossings_and_coefficients_with_definitions() -> None:
     """The bin is 0.01 wide; 2 % of it is what a parabola through a Hann window's line leaves."""
     assert compute_spectral_frequency(LIFT, 0.1) == pytest.approx(FREQUENCY, abs=2e-4)
     strouhal = compute_strouhal(LIFT, 0.1, length=20.0, speed=0.1)

@@ -19,9 +19,7 @@ def test_a_sponge_raises_tau_smoothly_towards_its_edge_alone() -> None:
     assert (tau[0, 0, 24:].diff() > 0).all()
 
 
-def test_the_stream_rises_and_changes_as_half_a_cosine_and_a_sudden_change_continues_a_rise() -> (
-    None
-):
+def test_stream_rises_and_changes_as_half_a_cosine_unless_suddenly() -> None:
     config = FlowConfig(width=8, height=8, tau=0.6, stream_speed=0.1, ramp_steps=100)
     params = make_params([config])
     speeds = [float(compute_stream_speed(params, torch.tensor([float(t)]))) for t in range(150)]

@@ -13,7 +13,6 @@ from fishrl.physics import (
     Cylinder,
     Fish,
     FlowConfig,
-    FlowState,
     Gait,
     InPlaceSolver,
     NonEquilibrium,
@@ -26,9 +25,9 @@ from fishrl.physics import (
 from fishrl.physics.bodies.motion import Bending, Driven, Free
 from fishrl.physics.boundaries import Side
 from fishrl.physics.collision import Rates
-from fishrl.physics.flow import make_rest
 from fishrl.physics.skins import ImmersedBoundary, IterativeForcing
 from fishrl.physics.step import step
+from tests.physics.flows import start_stream
 
 STEEP = Gait(amplitude=0.2, envelope=(0.0, 1.0, 0.0), wavenumber=2 * math.pi)
 FAST = Boundaries(left=NonEquilibrium(velocity=(0.5, 0.0)))
@@ -38,6 +37,7 @@ DENSE, FISH = Cylinder(diameter=40, num_markers=500), Fish(body_length=24)
 scale = partial(Scales, body_length=100, reynolds=7000.0)
 flow = partial(FlowConfig, width=128, height=64, tau=0.6)
 fish = partial(Fish, body_length=50)
+OTHER = flow(rates=Rates(energy=1.0))
 
 
 @pytest.mark.parametrize(
@@ -70,17 +70,14 @@ fish = partial(Fish, body_length=50)
         (lambda: Cylinder(diameter=20, motion=Bending()), "not this Cylinder"),
         (lambda: Cylinder(diameter=40, motion=Driven(angular_velocity=0.02)), "0.4 nodes per step"),
         (
-            lambda: InPlaceSolver(config=[flow(), flow(rates=Rates(energy=1.0))]),
+            lambda: InPlaceSolver(config=[flow(), OTHER]),
             "flow 1 differs from flow 0 in more than tau",
         ),
         (
-            lambda: InPlaceSolver(config=[flow(), flow()], num_envs=3),
+            lambda: InPlaceSolver(config=[flow()] * 2, num_envs=3),
             "num_envs = 3 with 2 configurations",
         ),
-        (
-            lambda: step(FlowState(make_rest(flow(), 1)), flow(bodies=(FISH,))),
-            "has 0 bodies, the config 1",
-        ),
+        (lambda: step(start_stream(flow()), flow(bodies=(FISH,))), "has 0 bodies, the config 1"),
     ],
 )
 def test_what_cannot_be_simulated_is_refused(make: Callable[[], object], message: str) -> None:

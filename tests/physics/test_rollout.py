@@ -12,6 +12,7 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics import (
     C_START,
+    BodyConfig,
     BounceBack,
     Boundaries,
     Cylinder,
@@ -29,21 +30,19 @@ from fishrl.physics.bodies.motion import Bending, Commanded, Surging, Towed
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.fast.compiled import compile_differentiable
-from fishrl.physics.flow import FlowParams, make_params, make_rest, make_uniform
+from fishrl.physics.flow import make_params, make_rest, make_uniform
 from fishrl.physics.rollout import estimate_memory, simulate
 from fishrl.physics.step import step
+from tests.physics.flows import ONE, place_body, start_stream
 
+PLACE = 32.2, 24.3, math.pi
 SCALES = Scales.from_budget(body_length=16, reynolds=300.0, max_wall_speed=0.15)
 PERIOD = 4 * round(SCALES.period / 4)
-EDGES = Boundaries.make_stream()
+STREAM = {"boundaries": Boundaries.make_stream(), "stream_speed": 0.01}
 
 
-def make_flows(fish: Fish, skin: Skin, num: int) -> tuple[FlowConfig, FlowParams]:
-    config = make_swimmer_config(
-        SCALES, length_bl=4, height_bl=3, bodies=(fish,), skin=skin,
-        boundaries=EDGES, stream_speed=0.01,
-    )  # fmt: skip
-    return config, make_params([config] * num)
+def make_flow(*bodies: BodyConfig, **settings: Any) -> FlowConfig:
+    return make_swimmer_config(SCALES, length_bl=4, height_bl=3, bodies=bodies, **settings)
 
 
 def measure(state: FlowState) -> Tensor:
@@ -56,9 +55,8 @@ def swim(values: Tensor, skin: Skin, num_steps: int, **settings: Any) -> Tensor:
     """Return ``measure`` of free fish in a stream; values ``[B, 10]`` are those of ``SWIM``."""
     tau, speed, frequency, amplitude, x, heading = values[:, :6].unbind(1)
     one = torch.ones_like(x)
-    fish = Fish(body_length=16, motion=Bending())
-    config, params = make_flows(fish, skin, len(values))
-    params = params._replace(tau=tau, stream_speed=speed)
+    config = make_flow(Fish(body_length=16, motion=Bending()), skin=skin, **STREAM)
+    params = make_params([config] * len(values))._replace(tau=tau, stream_speed=speed)
     body = make_body(torch.stack((x, 24.3 * one), 1), heading, frequency)
     body = body._replace(amplitude=amplitude, amplitude_goal=amplitude, beats=2.0 * one)
 
@@ -78,19 +76,15 @@ def swim(values: Tensor, skin: Skin, num_steps: int, **settings: Any) -> Tensor:
 
 
 def escape(
-    values: Tensor,
-    skin: Skin,
-    num_steps: int,
-    *,
-    beats: float = 0.5,
-    place: tuple[float, float, float] = (32.2, 24.3, math.pi),
+    values: Tensor, skin: Skin, num_steps: int, *, beats: float = 0.5, place: Any = PLACE
 ) -> Tensor:
     """Return ``measure`` of free larvae after part of a C-start, from ``place`` x, y and heading.
 
     values ``[B, 8]`` are those of ``ESCAPE``.
     """
     larva = Fish(body_length=16, motion=Free(), strokes=C_START)
-    config, params = make_flows(larva, skin, len(values))
+    config = make_flow(larva, skin=skin, **STREAM)
+    params = make_params([config] * len(values))
     (own,) = params.bodies
     back = torch.cat((-values[:, :3], torch.zeros_like(values[:, :4])), 1)
     curve = own.curve._replace(change=torch.stack((values[:, :7], back), 1), phase=values[:, 7])
@@ -111,18 +105,19 @@ ALIKE = torch.tensor([[0.3, 1.0, 0.01]], dtype=torch.float64)  # x, y and work
 #: Here a bent larva leaves a node from both sides in the second step.
 unfold = partial(escape, beats=1.3542068, place=(32.2659817, 24.6740978, 5.9995065))
 SOFT, SHARP = ImmersedBoundary(), BounceBack()
+PATHS = (swim, SWIM), (escape, ESCAPE)
 
 
 @pytest.mark.parametrize(
     ("motion", "at", "num_steps", "skin"),
     [
-        *((swim, SWIM, 20, skin) for skin in (SOFT, SHARP)),
-        *((escape, ESCAPE, 20, skin) for skin in (SOFT, SHARP)),
         (unfold, ESCAPE, 8, SHARP),
-        pytest.param(swim, SWIM, PERIOD, SOFT, marks=pytest.mark.slow),
-        pytest.param(swim, SWIM, PERIOD, SHARP, marks=pytest.mark.slow),
-        pytest.param(escape, ESCAPE, 400, SOFT, marks=pytest.mark.slow),
-        pytest.param(escape, ESCAPE, 400, SHARP, marks=pytest.mark.slow),
+        *((*case, 20, skin) for case in PATHS for skin in (SOFT, SHARP)),
+        *(
+            pytest.param(*case, num_steps, skin, marks=pytest.mark.slow)
+            for case, num_steps in zip(PATHS, (PERIOD, 400), strict=True)
+            for skin in (SOFT, SHARP)
+        ),
     ],
 )
 def test_gradients_equal_central_differences(
@@ -146,15 +141,12 @@ def test_gradients_equal_central_differences(
 def test_segments_change_memory_and_not_the_gradient() -> None:
     values = torch.tensor([SWIM], dtype=torch.float64, requires_grad=True)
     whole, parts = (
-        torch.autograd.grad(swim(values, ImmersedBoundary(), 20, segment=size).sum(), values)[0]
+        torch.autograd.grad(swim(values, SOFT, 20, segment=size).sum(), values)[0]
         for size in (20, 5)
     )
     assert torch.equal(whole, parts)
-    fish = Fish(body_length=16)
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, bodies=(fish,), skin=SOFT)
-    one = torch.ones(1, dtype=torch.float64)
-    place = torch.tensor([[32.0, 24.0]], dtype=torch.float64)
-    state = FlowState(make_rest(config, 1), (make_body(place, math.pi * one, one / PERIOD),))
+    config = make_flow(Fish(body_length=16), skin=SOFT)
+    state = start_stream(config, place_body(*PLACE, 1 / PERIOD))
     few, many = (estimate_memory(state, config, num_steps=n)[0] for n in (100, 10_000))
     assert 5.0 < many / few < 15.0  # as the square root
     assert estimate_memory(state, config, num_steps=1)[0] > 9 * 8 * config.width * config.height
@@ -166,10 +158,10 @@ def test_segments_change_memory_and_not_the_gradient() -> None:
 
 
 @pytest.mark.parametrize(("num_steps", "interval"), [(0, 1), (3, 2), (2, 4), (2, 0)])
-def test_numbers_of_steps_that_do_not_fit_are_refused(num_steps: int, interval: int) -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, bodies=())
+def test_intervals_that_do_not_divide_the_steps_are_refused(num_steps: int, interval: int) -> None:
+    config = make_flow()
     with pytest.raises(ValueError, match="positive multiple"):
-        simulate(FlowState(make_rest(config, 1)), config, num_steps=num_steps, interval=interval)
+        simulate(start_stream(config), config, num_steps=num_steps, interval=interval)
 
 
 @pytest.mark.slow  # compiles for minutes
@@ -198,7 +190,7 @@ def test_compiled_graphs_can_be_retained() -> None:
 
 
 @pytest.mark.parametrize("skin", [SOFT, SHARP])
-def test_functional_transforms(skin: Skin) -> None:
+def test_functional_transforms_agree(skin: Skin) -> None:
     """Forward derivatives of rows that vmap batches, and reverse ones without segments."""
     (values,) = torch.tensor([SWIM], dtype=torch.float64)
 
@@ -217,13 +209,13 @@ def test_functional_transforms(skin: Skin) -> None:
 
 LARVA = {"section": Section.LARVA, "thickness": 0.127, "strokes": C_START}
 BODIES = {
-    "free": partial(Fish, body_length=16, motion=Free()),
-    "bending": partial(Fish, body_length=16, motion=Bending()),
-    "commanded": partial(Fish, body_length=16, motion=Commanded()),
-    "C-start": partial(Fish, body_length=16, motion=Free(), **LARVA),
-    "surging": partial(Foil, chord=16, motion=Surging(pitch=0.3, pivot=5.0)),
-    "towed": partial(Cylinder, diameter=8.0, motion=Towed()),
-    "still": partial(Cylinder, diameter=8.0),
+    "free": Fish(body_length=16, motion=Free()),
+    "bending": Fish(body_length=16, motion=Bending()),
+    "commanded": Fish(body_length=16, motion=Commanded()),
+    "C-start": Fish(body_length=16, motion=Free(), **LARVA),
+    "surging": Foil(chord=16, motion=Surging(pitch=0.3, pivot=5.0)),
+    "towed": Cylinder(diameter=8.0, motion=Towed()),
+    "still": Cylinder(diameter=8.0),
 }
 
 
@@ -231,11 +223,8 @@ BODIES = {
 @pytest.mark.parametrize("name", BODIES)
 def test_no_gradient_from_rest_is_infinite(name: str, skin: Skin) -> None:
     """Compiled gradients differentiate every output, so that 0 times infinity would spread."""
-    body = BODIES[name]()
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, bodies=(body,), skin=skin)
-    one = torch.ones(1, dtype=torch.float64)
-    start = make_body(torch.tensor([[32.2, 24.3]]).double(), math.pi * one, one / PERIOD)
-    state = FlowState(make_rest(config, 1), (start,), 0.0 * one)
+    config = make_flow(BODIES[name], skin=skin)
+    state = start_stream(config, place_body(*PLACE, 1 / PERIOD))._replace(clock=0.0 * ONE)
     leaves, form = pytree.tree_flatten((state, make_params([config])))
     leaves = [leaf.clone().requires_grad_(leaf.is_floating_point()) for leaf in leaves]
     before, params = pytree.tree_unflatten(leaves, form)

@@ -8,7 +8,7 @@ from fishrl.physics import CARANGIFORM, CARLING, Gait
 from fishrl.physics.units import Scales, compute_tau
 
 
-def test_budget_keeps_reynolds_number_and_bounds_the_fastest_beat_and_stream() -> None:
+def test_budget_keeps_reynolds_number_and_bounds_beat_and_stream() -> None:
     scales = Scales.from_budget(body_length=50, reynolds=7000.0, max_wall_speed=0.07)
     assert scales.period % 2 == 0
     assert scales.body_length**2 / (scales.nu * scales.period) == pytest.approx(7000.0)
@@ -28,9 +28,8 @@ def test_budget_keeps_reynolds_number_and_bounds_the_fastest_beat_and_stream() -
 
 def test_relaxation_times_of_the_paper_follow_from_its_reynolds_numbers() -> None:
     """L = 100, T = 600 of Task 1; D = 40, U = 0.1, Re = 200 of Task 2."""
-    assert Scales(body_length=100, reynolds=7000.0, period=600).tau == pytest.approx(
-        0.50714, abs=1e-5
-    )
+    scales = Scales(body_length=100, reynolds=7000.0, period=600)
+    assert scales.tau == pytest.approx(0.50714, abs=1e-5)
     assert compute_tau(length=40, speed=0.1, reynolds=200) == pytest.approx(0.56)
 
 
@@ -43,7 +42,5 @@ def test_relaxation_times_of_the_paper_follow_from_its_reynolds_numbers() -> Non
         (Gait(amplitude=0.1, envelope=(0.0, -4.0, 4.0), wavenumber=2.0), 0.1),  # in the middle
     ],
 )
-def test_the_fastest_point_of_the_midline_sets_the_speed_of_a_gait(
-    gait: Gait, largest: float
-) -> None:
+def test_fastest_point_of_the_midline_sets_the_gait_speed(gait: Gait, largest: float) -> None:
     assert gait.tail_speed == pytest.approx(2.0 * math.pi * largest, rel=1e-12)

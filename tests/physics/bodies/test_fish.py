@@ -1,6 +1,7 @@
 """The fish: outline, kinematics and its coupling to the flow, in float64."""
 
 import math
+from functools import partial
 
 import pytest
 import torch
@@ -13,39 +14,21 @@ from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.cases import PERIODIC
 from fishrl.physics.collision import compute_moments
 from fishrl.physics.diagnostics import compute_area
-from fishrl.physics.flow import (
-    FlowConfig,
-    FlowState,
-    make_params,
-    make_rest,
-    make_uniform,
-)
+from fishrl.physics.flow import FlowState, make_params, make_rest
 from fishrl.physics.geometry import deform_body, locate_markers, locate_outline, place_markers
 from fishrl.physics.skins import ImmersedBoundary
 from fishrl.physics.step import step
-from tests.physics.flows import SCALES, advance, make_tank
+from tests.physics.flows import SCALES, advance, make_tank, place_body, start_stream
 
 FIT = ImmersedBoundary().fit
 STILL = Gait(amplitude=0.0, envelope=(0.0, 1.0, 0.0), wavenumber=1.0)
-STEEP = Gait(amplitude=0.2, envelope=(0.0, 1.0, 0.0), wavenumber=2 * math.pi)
 MOTIONS = [Free(), Commanded(), Bending()]
+with_each_motion = pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
+make_fish_body = partial(place_body, x=40.3, y=30.6, heading=math.pi, frequency=1 / SCALES.period)
 
 
 def outline(fish: Fish, body: BodyState) -> torch.Tensor:
     return place_markers(body, deform_body(fish, fish.make_params(), body)).position
-
-
-def make_fish_body(
-    position: tuple[float, float] = (40.3, 30.6),
-    heading: float = math.pi,
-    frequency: float = 1.0 / SCALES.period,
-) -> BodyState:
-    one = torch.ones(1, dtype=torch.float64)
-    return make_body(torch.tensor([position], dtype=torch.float64), heading * one, frequency * one)
-
-
-def run(config: FlowConfig, body: BodyState, num_steps: int) -> FlowState:
-    return advance(FlowState(make_rest(config, 1), (body,)), config, num_steps)
 
 
 def measure_momentum(f: torch.Tensor) -> torch.Tensor:
@@ -53,38 +36,29 @@ def measure_momentum(f: torch.Tensor) -> torch.Tensor:
     return torch.stack((jx.sum((-1, -2)), jy.sum((-1, -2))), -1)
 
 
-@pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
-def test_markers_move_by_the_velocity_that_the_flow_is_given(motion: Motion) -> None:
-    """Displacement over one step = imposed velocity, to second order in the step."""
+@with_each_motion
+def test_markers_move_at_the_velocity_imposed_on_the_flow(motion: Motion) -> None:
     config = make_tank(motion=motion)
-    params = make_params([config])
-    one = torch.ones(1, dtype=torch.float64)
-    body = make_fish_body()._replace(turn=0.3 * one, turn_steps=200 * one, turn_clock=0 * one)
-    body = body._replace(amplitude_goal=0.4 * one)
-    state = FlowState(make_rest(config, 1), (body,))
-    worst = 0.0
+    (fish,), params = config.bodies, make_params([config])
+    body = make_fish_body(turn=0.3, turn_steps=200, turn_clock=0, amplitude_goal=0.4)
+    state, worst = start_stream(config, body), 0.0
     for _ in range(SCALES.period + 40):
-        place = locate_outline(config.bodies[0], params.bodies[0], state.bodies[0]).markers
+        place = locate_outline(fish, params.bodies[0], state.bodies[0]).markers
         state = step(state, config, params)
-        after = locate_outline(config.bodies[0], params.bodies[0], state.bodies[0]).markers
+        (body,) = state.bodies
+        after = locate_outline(fish, params.bodies[0], body).markers
         rx, ry = place.arm.unbind(-1)
-        omega = state.bodies[0].angular_velocity[:, None]
-        imposed = (
-            state.bodies[0].velocity[:, None]
-            + torch.stack((-omega * ry, omega * rx), -1)
-            + place.deformation_velocity
-        )
-        worst = max(worst, float((after.position - place.position - imposed).abs().max()))
+        omega = body.angular_velocity[:, None]
+        rigid = body.velocity[:, None] + torch.stack((-omega * ry, omega * rx), -1)
+        moved = after.position - place.position
+        worst = max(worst, float((moved - rigid - place.deformation_velocity).abs().max()))
     # the acceleration of the tail is (2 pi / T) times its speed; half of it is the error of a step
     assert worst < 1.5 * math.pi / SCALES.period * SCALES.tail_speed
 
 
-@pytest.mark.parametrize("beats", [0.3, 4.0])
+@pytest.mark.parametrize("beats", [0.3, 4.0], ids=["while the amplitude rises", "later"])
 def test_changing_the_frequency_does_not_move_the_body(beats: float) -> None:
-    """During the first beat neither, while the amplitude still rises."""
-    fish = Fish(body_length=50)
-    body = make_fish_body()
-    body = body._replace(beats=beats + body.beats, phase=body.phase + 1.3)
+    fish, body = Fish(body_length=50), make_fish_body(beats=beats, phase=1.3)
     places = [outline(fish, body._replace(frequency=f * body.frequency)) for f in (0.0, 1.0, 2.0)]
     for place in places[1:]:
         torch.testing.assert_close(places[0], place, rtol=0, atol=1e-12)
@@ -93,11 +67,8 @@ def test_changing_the_frequency_does_not_move_the_body(beats: float) -> None:
 @pytest.mark.parametrize("is_midline", [False, True])
 def test_half_the_amplitude_is_half_the_sway_of_the_tail(is_midline: bool) -> None:
     fish = FIT(Fish(body_length=50, keeps_length=is_midline))
-    body = make_fish_body()
-    body = body._replace(beats=body.beats + 2)
-    half = body._replace(amplitude=0.5 * body.amplitude)
     sway = []
-    for one in (body, half):
+    for one in (make_fish_body(beats=2), make_fish_body(beats=2, amplitude=0.5)):
         phases = one.phase + torch.linspace(0, 2 * math.pi, 25)[:, None]
         places = torch.cat([outline(fish, one._replace(phase=phase)) for phase in phases])
         tail = places[:, fish.num_markers // 2, 1]
@@ -162,15 +133,12 @@ def assert_midline_keeps_length_area_and_centre(
 
 @pytest.mark.parametrize("is_midline", [False, True])
 @pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
-def test_a_deformation_has_no_angular_momentum_and_keeps_area_and_centre(
+def test_deformations_keep_area_and_centre_without_angular_momentum(
     gait: Gait, is_midline: bool
 ) -> None:
-    """And a midline of constant length its length."""
     fish = FIT(Fish(body_length=100, gait=gait, keeps_length=is_midline))
-    at_rest = make_fish_body()
-    assert fish.area == pytest.approx(0.08171 * 100**2, rel=0.01)
     for phase in (0.2, 1.7, 4.0):
-        body = at_rest._replace(beats=0 * at_rest.beats + 1e3, phase=0 * at_rest.phase + phase)
+        body = make_fish_body(beats=1e3, phase=phase)
         assert_no_angular_momentum(deform_body(fish, fish.make_params(), body))
         if is_midline:
             turn = math.pi * body.frequency  # of half a step
@@ -183,54 +151,49 @@ def test_a_deformation_has_no_angular_momentum_and_keeps_area_and_centre(
 
 
 def test_a_commanded_turn_ends_at_the_commanded_heading() -> None:
-    one = torch.ones(1, dtype=torch.float64)
-    body = make_fish_body()._replace(turn=0.26 * one, turn_steps=300 * one, turn_clock=0 * one)
-    total, largest = 0.0, 0.0
-    for clock in range(400):
-        rate = float(compute_turn_rate(body._replace(turn_clock=clock * one)))
-        total, largest = total + rate, max(largest, rate)
-    assert total == pytest.approx(0.26, rel=1e-12)
-    assert largest < 2.01 * 0.26 / 300
+    body = make_fish_body(turn=0.26, turn_steps=300, turn_clock=0)
+    turn_rates = [
+        float(compute_turn_rate(body._replace(turn_clock=body.turn_clock + clock)))
+        for clock in range(400)
+    ]
+    assert sum(turn_rates) == pytest.approx(0.26, rel=1e-12)
+    assert max(turn_rates) < 2.01 * 0.26 / 300
     rates = [Bending(response=each).compute_bend_rate(body).item() for each in (6.0, 2.0)]
     assert rates == pytest.approx([-0.0052, -0.0052 / 3.0])
 
 
-@pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
+@with_each_motion
 @pytest.mark.parametrize("density_ratio", [1.0, 2.0])
-def test_fluid_and_body_conserve_momentum_to_round_off(
-    motion: Motion, density_ratio: float
-) -> None:
+def test_fluid_and_body_conserve_momentum(motion: Motion, density_ratio: float) -> None:
     fish = Fish(body_length=24, density_ratio=density_ratio, motion=motion)
     config = make_tank(boundaries=PERIODIC, bodies=(fish,))
-    state = run(config, make_fish_body(), 100)
+    state = advance(start_stream(config, make_fish_body()), config, 100)
     excess = (density_ratio - 1.0) * fish.area
     total = measure_momentum(state.f) + excess * state.bodies[0].velocity
     assert state.bodies[0].velocity.abs().max() > 1e-3
     assert total.abs().max() < 1e-11
 
 
-def test_a_towed_fish_keeps_its_speed_and_conserves_momentum_across_it() -> None:
+def test_towed_fish_keeps_its_speed_and_conserves_lateral_momentum() -> None:
     config = make_tank(boundaries=PERIODIC, motion=Towed())
-    body = make_fish_body(heading=0.4)
-    body = body._replace(velocity=torch.tensor([[0.01, 0.0]], dtype=torch.float64))
-    state = run(config, body, 60)
+    body = make_fish_body(heading=0.4, velocity=(0.01, 0.0))
+    state = advance(start_stream(config, body), config, 60)
     (after,) = state.bodies
     assert after.velocity[0, 0] == 0.01 and after.velocity[0, 1].abs() > 1e-4
     assert measure_momentum(state.f)[0, 1].abs() < 1e-11
 
 
-def test_muscle_power_equals_total_power_on_the_fluid_when_the_fish_is_free() -> None:
+def test_power_of_free_fish_is_that_of_its_muscles() -> None:
     """With no net force and torque the rigid motion does no work: F . u_def = F . V."""
     config = make_tank(motion=Free())
-    body = run(config, make_fish_body(), 80).bodies[0]
+    (body,) = advance(start_stream(config, make_fish_body()), config, 80).bodies
     assert float(body.force.abs().max()) < 1e-12
     # the lateral part misses only the work of -H/I against a torque that is zero
     assert float(body.lateral_work) == pytest.approx(float(body.work), rel=1e-6)
     assert float(body.work) > 0
 
 
-def test_a_bent_fish_turns_without_a_torque_from_outside() -> None:
-    """Bending one way and beating turns a free fish that way; angular momentum is the flow's."""
+def test_bending_turns_a_beating_fish_without_external_torque() -> None:
     config = make_tank(motion=Bending())
     both = torch.ones(2, dtype=torch.float64)
     body = make_body(
@@ -249,25 +212,22 @@ def test_a_bent_fish_turns_without_a_torque_from_outside() -> None:
 @pytest.mark.parametrize("is_midline", [False, True])
 def test_markers_located_without_their_motion_are_the_same(is_midline: bool) -> None:
     fish = Fish(body_length=24, keeps_length=is_midline)
-    shape, body = fish.make_params(), make_fish_body(heading=2.5)
+    shape, body = fish.make_params(), make_fish_body(heading=2.5, phase=0.7, beats=0.6, bend=0.02)
     assert isinstance(shape, MidlineParams) == is_midline
-    one = torch.ones_like(body.phase)
-    body = body._replace(phase=0.7 * one, beats=0.6 * one, bend=0.02 * one)
     expected = place_markers(body, deform_body(fish, shape, body)).position
     assert torch.equal(locate_markers(shape, body), expected)
 
 
-@pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
-def test_body_carried_by_a_uniform_stream_leaves_the_flow_unchanged(motion: Motion) -> None:
-    fish = Fish(body_length=24, gait=STILL, motion=motion)
-    config = make_tank(boundaries=PERIODIC, bodies=(fish,))
-    zero = torch.zeros(1, config.height, config.width, dtype=torch.float64)
+@with_each_motion
+def test_body_carried_by_a_uniform_stream_leaves_it_unchanged(motion: Motion) -> None:
+    config = make_tank(
+        boundaries=PERIODIC, bodies=(Fish(body_length=24, gait=STILL, motion=motion),)
+    )
     stream = (0.05, -0.02)
-    f = make_uniform(zero, zero + stream[0], zero + stream[1])
-    body = make_fish_body(heading=0.4)
-    body = body._replace(velocity=torch.tensor([stream], dtype=torch.float64))
-    state = advance(FlowState(f, (body,)), config, 60)
-    torch.testing.assert_close(state.f, f, rtol=0, atol=1e-14)
+    body = make_fish_body(heading=0.4, velocity=stream)
+    before = start_stream(config, body, velocity=stream)
+    state = advance(before, config, 60)
+    torch.testing.assert_close(state.f, before.f, rtol=0, atol=1e-14)
     expected = body.position + 60 * body.velocity
     torch.testing.assert_close(state.bodies[0].position, expected, rtol=0, atol=1e-10)
 
@@ -275,8 +235,8 @@ def test_body_carried_by_a_uniform_stream_leaves_the_flow_unchanged(motion: Moti
 def test_mirrored_fish_swims_the_mirrored_path() -> None:
     config = make_tank()
     height = config.height - 1.0
-    up, down = make_fish_body((60.0, 30.0)), make_fish_body((60.0, height - 30.0))
-    down = down._replace(phase=down.phase + math.pi)  # the mirrored wave
-    a, b = (run(config, body, 100).bodies[0] for body in (up, down))
-    assert float(a.position[0, 0]) == pytest.approx(float(b.position[0, 0]), abs=1e-9)
-    assert float(a.position[0, 1]) == pytest.approx(height - float(b.position[0, 1]), abs=1e-9)
+    up = make_fish_body(x=60.0, y=30.0)
+    down = make_fish_body(x=60.0, y=height - 30.0, phase=math.pi)  # the mirrored wave
+    paths = [advance(start_stream(config, body), config, 100).bodies[0] for body in (up, down)]
+    (x, y), (mirrored_x, mirrored_y) = (body.position[0].tolist() for body in paths)
+    assert (x, y) == pytest.approx((mirrored_x, height - mirrored_y), abs=1e-9)

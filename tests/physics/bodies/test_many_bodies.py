@@ -20,6 +20,8 @@ CHANNEL = Boundaries(
     top=NoSlip(),
 )
 
+KICKED = Fixed(kick_speed=0.01, kick_steps=30)
+
 
 def make_crowd(tau: float = 0.56, diameter: float = 12.0, amplitude: float = 0.1) -> FlowConfig:
     """A fish, an oscillating ellipse, a kicked half disc and a heavy free disc in a channel."""
@@ -33,9 +35,7 @@ def make_crowd(tau: float = 0.56, diameter: float = 12.0, amplitude: float = 0.1
         bodies=(
             Fish(body_length=24, gait=gait),
             Ellipse(length=10, width=8, motion=Oscillating(sway=(0.5, 2.0), pitch=0.2)),
-            DCylinder(
-                diameter=diameter, num_markers=36, motion=Fixed(kick_speed=0.01, kick_steps=30)
-            ),
+            DCylinder(diameter=diameter, num_markers=36, motion=KICKED),
             Cylinder(diameter=9, density_ratio=1.5, motion=Free()),
         ),
         boundaries=CHANNEL,

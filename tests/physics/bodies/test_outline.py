@@ -11,12 +11,10 @@ from fishrl.physics.bodies.motion import Fixed, Oscillating
 from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
-from fishrl.physics.bodies.state import make_body
 from fishrl.physics.diagnostics import compute_area
 from fishrl.physics.geometry import deform_body, place_markers
 from fishrl.physics.skins import ImmersedBoundary
-
-ONE = torch.ones(1, dtype=torch.float64)
+from tests.physics.flows import ONE, place_body
 
 
 def get_shape(outline: BodyConfig) -> ShearParams:
@@ -45,7 +43,7 @@ def get_shape(outline: BodyConfig) -> ShearParams:
     ],
     ids=["cylinder", "ellipse", "half disc", "foil", "fish"],
 )  # fmt: skip
-def test_outlines_have_the_sizes_of_their_formulas_and_a_marker_per_node(
+def test_outlines_have_their_exact_sizes_and_a_marker_per_node(
     outline: BodyConfig, area: float, inertia: float, perimeter: float
 ) -> None:
     shape = get_shape(outline)
@@ -60,7 +58,7 @@ def test_outlines_have_the_sizes_of_their_formulas_and_a_marker_per_node(
     assert float(gaps.min()) > 0.7 and float(gaps.max()) < 1.3
 
 
-def test_half_disc_has_markers_on_its_corners_and_faces_with_its_round_side() -> None:
+def test_half_disc_has_markers_on_its_corners_and_a_round_nose() -> None:
     outline = DCylinder(diameter=40, inset=0.0)
     shape = get_shape(outline)
     centroid = 20 - 80 / (3 * math.pi)  # from the nose
@@ -68,7 +66,7 @@ def test_half_disc_has_markers_on_its_corners_and_faces_with_its_round_side() ->
     assert float(shape.lateral.abs().max()) == pytest.approx(20.0, abs=1e-6)
     flat = (shape.axial - shape.axial.max()).abs() < 1e-6
     assert int(flat.sum()) > 35
-    body = make_body(torch.tensor([[100.0, 50.0]]).double(), math.pi * ONE, 0 * ONE)
+    body = place_body(100.0, 50.0, math.pi)
     markers = place_markers(body, deform_body(outline, shape, body)).position[0]
     assert float(markers[0, 0]) == pytest.approx(100 - centroid, abs=1e-3)  # nose upstream
 
@@ -100,11 +98,11 @@ def test_the_eel_has_the_thickness_of_its_source() -> None:
         (Oscillating(pitch=0.4, pivot=5.0), 0.3),
     ],
 )
-def test_an_oscillating_body_follows_its_sines_and_turns_about_its_pivot(
+def test_oscillating_body_follows_its_sines_about_its_pivot(
     motion: Oscillating, start: float
 ) -> None:
     """From the origin, after 17 of 50 steps."""
-    body = make_body(torch.zeros(1, 2, dtype=torch.float64), start * ONE, ONE / 50)
+    body = place_body(0.0, 0.0, start, 1 / 50)
     for _ in range(17):
         velocity, turn = motion.prescribe(body)
         body = body._replace(
@@ -124,7 +122,7 @@ def test_an_oscillating_body_follows_its_sines_and_turns_about_its_pivot(
 
 def test_a_kick_is_one_period_of_a_sine() -> None:
     motion = Fixed(kick_speed=0.02, kick_steps=30)
-    body = make_body(torch.zeros(1, 2, dtype=torch.float64), 0 * ONE, 0 * ONE)
+    body = place_body(0.0, 0.0)
     speeds = [float(motion.prescribe(body._replace(age=t * ONE))[0][0, 1]) for t in range(40)]
     assert max(speeds) == pytest.approx(0.02, rel=0.01)
     assert sum(speeds) == pytest.approx(0.0, abs=1e-12)
