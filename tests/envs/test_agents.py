@@ -8,11 +8,11 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 from torchrl.envs.utils import check_marl_grouping
 
-from fishrl.envs import FlowEnv, Flows, Oracle, make_env
+from fishrl.envs import FlowEnv, Flows, make_env
 from fishrl.envs.agents import EachFish, average_fish, split_fish
 from fishrl.modules import RandomPolicy
 from tests.envs.conftest import SMALL, make_flows, reset_rows
-from tests.envs.small_tasks import LabelledPair, PairTask
+from tests.envs.small_tasks import PairTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -50,7 +50,7 @@ def test_layout_is_torchrls_multi_agent_layout(is_continuous: bool) -> None:
         assert not agents["action_mask"].all()
 
 
-def test_each_fish_is_commanded_observed_and_rewarded_separately(flows: FlowEnv) -> None:
+def test_each_fish_has_its_own_command_and_reward(flows: FlowEnv) -> None:
     after = act(flows, (1, 1), (2, 0))["agents"]
     turned = torch.tensor([[0.0, 0.0], [0.2, -0.2]])
     torch.testing.assert_close(after["observation"][..., 1], math.pi + turned)
@@ -90,12 +90,7 @@ def test_illegal_action_is_named_with_its_row_and_fish(flows: FlowEnv) -> None:
         flows.step(TensorDict({"agents": {"action": torch.ones(2, 1).long()}}, [2]))
 
 
-def test_flow_labels_are_refused_for_several_fish() -> None:
-    with pytest.raises(ValueError, match=r"LabelledPair has .* several fish"):
-        make_env(task=LabelledPair(**SMALL), flows=Flows(num_envs=1), recognition=Oracle())
-
-
-def test_split_and_averaged_entries_are_those_of_each_fish_and_its_flow() -> None:
+def test_split_fish_repeats_entries_of_their_flow() -> None:
     data = make_env(task=PairTask(**SMALL), flows=Flows(num_envs=3, compile=False)).rollout(1)[:, 0]
     rows = split_fish(data)
     assert rows.shape == (6,) and "agents" not in rows.keys(True)

@@ -18,7 +18,7 @@ TINY |= {"domain_bl": (5.0, 2.4)}
 
 
 @pytest.mark.parametrize("is_continuous", [False, True])
-def test_bending_fish_is_turned_by_the_water_alone_and_pays_for_pushing_work(
+def test_bending_fish_is_turned_by_water_alone(
     is_continuous: bool,
 ) -> None:
     beat = ContinuousFrequency() if is_continuous else MacroActions(rows=((0.5, 1.0, 1.5),))
@@ -41,7 +41,7 @@ def test_bending_fish_is_turned_by_the_water_alone_and_pays_for_pushing_work(
     assert paid.tolist() == pytest.approx([0.1, 0.1])
 
 
-def test_bending_predator_is_turned_by_the_water_alone_and_observes_its_own_motion() -> None:
+def test_bending_predator_observes_its_own_motion() -> None:
     margin = {"wall_margin_bl": 0.3, "control_interval_T": 0.25, "checks_per_action": 8}
     task = Predation(**TANK | margin, control=Bend(bend_bl=0.2))
     starts = task.sample_starts(1, torch.Generator().manual_seed(0)).expand(3)

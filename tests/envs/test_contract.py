@@ -77,7 +77,7 @@ def test_reference_page_gives_every_number_action_and_term(task: AbstractTask) -
     assert f"| {task.num_actions - 1} | {task.action_names[-1]} |" in table
 
 
-def test_every_state_has_a_legal_action_and_random_actions_are_legal(task: AbstractTask) -> None:
+def test_random_actions_are_legal_in_every_state(task: AbstractTask) -> None:
     env = make_env(task=task, flows=Flows(num_envs=4, compile=False))
     rollout = env.rollout(40, break_when_any_done=False)
     assert rollout["next", "done"].any()  # terminal states are among them
@@ -107,7 +107,7 @@ def test_no_episode_begins_terminated(task: AbstractTask) -> None:
     assert not task.is_terminated(env.now).any()
 
 
-def test_measurement_changes_nothing_and_shares_no_memory_with_the_flows(
+def test_measurement_is_a_copy_without_side_effects(
     task: AbstractTask,
 ) -> None:
     env = make_flows(task, 2)

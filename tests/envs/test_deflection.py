@@ -17,7 +17,7 @@ from fishrl.physics import Driven, InPlaceSolver
 
 @pytest.mark.slow
 @pytest.mark.compile
-def test_fast_beats_deflect_the_wake_to_the_side_of_the_first_stroke() -> None:
+def test_fast_beats_deflect_the_wake() -> None:
     """Two beats per body length of stream do, one and a half do not; Re_f = 500, 1 L/T."""
     stream = Stream(has_disc=False)
     task = KarmanGait(body_length=20, max_wall_speed=0.15, domain_bl=(8.0, 4.0), stream=stream)

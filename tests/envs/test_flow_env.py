@@ -92,7 +92,7 @@ def test_resting_row_stands_still_and_affects_no_other(small_task: Predation) ->
         assert torch.equal(after[key][[0, 2]], expected[key][[0, 2]])
 
 
-def test_diverged_row_is_truncated_alone_with_reward_0_and_the_last_observation(
+def test_diverged_row_is_truncated_alone_with_reward_0(
     small_task: Predation, caplog: pytest.LogCaptureFixture
 ) -> None:
     env, intact = make_twins(small_task)
@@ -192,7 +192,7 @@ def test_illegal_action_is_refused(action: int) -> None:
         act(env, action, 1)
 
 
-def test_one_hot_actions_and_task_classes_are_refused_with_a_remedy() -> None:
+def test_one_hot_action_and_task_class_are_refused() -> None:
     env = make_flows(MaskedTask(**SMALL), 2)
     one_hot = torch.tensor([[0, 1, 0], [0, 1, 0]])
     for action in (one_hot, one_hot[0, :2].float()):

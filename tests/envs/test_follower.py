@@ -77,7 +77,7 @@ def test_contact_ends_the_episode_before_fish_overlap() -> None:
     assert not do_overlap(solver.markers(0), solver.markers(1)).any()
 
 
-def test_leader_is_held_and_the_follower_bends_and_approaches_its_amplitude() -> None:
+def test_leader_is_held_and_follower_bends() -> None:
     env: FlowEnv = make_flows(Follower(**TINY, control=with_amplitude(0.4, 1.0)), 1)
     assert env.task.num_actions == 3 and len(env.task.action_names) == 3
     assert env.reset()["observation"].shape == (1, 16)

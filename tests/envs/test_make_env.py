@@ -1,11 +1,9 @@
 """The environment with its transforms, without a flow."""
 
-from functools import partial
 from typing import Any
 
 import pytest
 import torch
-from torchrl.envs import SerialEnv
 
 from fishrl.envs import Flows, Predation, make_env
 from tests.envs.conftest import SMALL, keep_straight, make_flows, starts_at
@@ -14,7 +12,7 @@ from tests.envs.kinematic_solver import KinematicSolver
 pytestmark = pytest.mark.usefixtures("kinematic")
 
 
-def test_stack_holds_the_last_observations_and_restarts_with_its_row() -> None:
+def test_stack_holds_last_observations_of_its_episode() -> None:
     """Row 0 captures its food after some actions and is reset, row 1 swims on."""
     starts = starts_at((3.8, 2.5), (7.5, 1.5), (7.0, 3.0))
     env = make_env(task=Predation(**SMALL), flows=Flows(num_envs=2, compile=False), starts=starts)
@@ -42,28 +40,6 @@ def test_time_limit_truncates_and_episode_rewards_are_sums() -> None:
     for key, expected in (flags | {"step_count": [1, 2, 3, 1]}).items():
         assert after[key][0].squeeze(-1).tolist() == expected
     assert after["episode_reward"][:, :3, 0].tolist() == [[1.0, 2.0, 3.0], [1.0, 2.0, 23.0]]
-
-
-def test_saved_flows_and_frame_stacks_continue_in_another_environment() -> None:
-    make = partial(make_env, task=Predation(**SMALL), flows=Flows(num_envs=2, compile=False))
-    first, second = make(seed=1), make(seed=2)
-    state = first.rollout(3)[:, -1]["next"].exclude("reward")
-    second.reset()
-    second.load_state_dict(first.state_dict())
-    second.base_env.load_state_dict(first.base_env.state_dict())
-    one, other = (env.step(keep_straight(state.clone()))["next"] for env in (first, second))
-    assert (one == other).all()
-    assert not torch.equal(one["observation_stack"], state["observation_stack"])
-
-
-def test_seeded_serial_environments_draw_different_starts() -> None:
-    make = partial(make_env, task=Predation(**SMALL), flows=Flows(num_envs=2, compile=False))
-    for seed, is_same in ((None, True), (3, False)):
-        envs = SerialEnv(2, make)
-        if seed is not None:
-            envs.set_seed(seed)
-        one, other = envs.reset()["observation"]
-        assert torch.equal(one, other) is is_same
 
 
 def test_compile_reaches_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:

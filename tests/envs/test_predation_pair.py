@@ -7,8 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import FlowEnv, Flows, PredationPair, make_env
-from fishrl.wrappers.gymnasium import FlowVectorEnv
+from fishrl.envs import FlowEnv, PredationPair
 from tests.envs.conftest import SMALL, make_flows
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -72,14 +71,6 @@ def test_contact_ends_the_episode_before_fish_overlap() -> None:
     assert rewards.max() < -5.0
 
 
-def test_wall_contact_of_one_fish_ends_both_episodes() -> None:
-    env = begin(start_at((6.0, 0.45), (6.0, 3.5), headings=(SOUTH, WEST)))
-    with pytest.raises(ValueError, match="start 0, head at"):
-        begin(start_at((6.0, 0.1), (6.0, 3.5)))
-    after = act(env, KEEP, KEEP)
-    assert after["terminated"].item() and not (after["captured"] | after["contact"]).item()
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -92,9 +83,3 @@ def test_wall_contact_of_one_fish_ends_both_episodes() -> None:
 def test_invalid_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         PredationPair(**SMALL, **settings)
-
-
-def test_gymnasium_refuses_several_fish() -> None:
-    env = make_env(task=PredationPair(**SMALL), flows=Flows(num_envs=1, compile=False))
-    with pytest.raises(ValueError, match="PredationPair has several fish"):
-        FlowVectorEnv(env)

@@ -6,10 +6,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import FlowEnv, Flows, Predation, PredationPair, make_env
-from fishrl.physics import ImmersedBoundary
-from tests.envs.conftest import SMALL, act, make_flows, read_flows
-from tests.physics.flows import make_tank
+from fishrl.envs import Flows, Predation, PredationPair, make_env
+from tests.envs.conftest import SMALL, act, make_flows
 
 #: A tank of 5 L x 3 L, where an eager action takes about a second.
 TINY = SMALL | {
@@ -77,26 +75,3 @@ def test_pair_that_meets_ends_its_episode_without_divergence() -> None:
         assert float(env.now["gap"]) >= task.contact_bl * length
     assert float(env.now["gap"]) > 0.5
     assert after["contact"].item() and not after["diverged"].item()
-
-
-@pytest.mark.compile
-def test_compiled_rows_on_several_cores_equal_single_rows() -> None:
-    """In the tank of ``tests/physics``, whose code another test compiles."""
-    tank = TINY | {"body_length": 24, "reynolds": 800.0, "max_wall_speed": 0.1}
-    tank |= {"domain_bl": (4.0, 3.0), "start_x_bl": (2.5, 2.9), "skin": ImmersedBoundary()}
-    task = Predation(**tank, control_interval_T=0.5)
-    assert task.flow_config().get_structure() == make_tank().get_structure()
-    starts = task.sample_starts(2, torch.Generator().manual_seed(2))
-    env = FlowEnv(task=task, flows=Flows(num_envs=2), starts=starts)
-    alone = FlowEnv(task=task, flows=Flows(num_envs=1), starts=starts)
-    for flows in (env, alone):
-        flows.reset()
-        flows.solver.advance_(40)  # far from the fish, numbers are as small as they can be now
-    assert torch.equal(env.solver.populations()[:1], alone.solver.populations())
-    for actions in ((0, 2), (1, 1)):
-        together, single = act(env, *actions), act(alone, actions[0])
-        assert (together[0] == single[0]).all()
-    for name, value in read_flows(alone).items():
-        assert torch.equal(value[0], read_flows(env)[name][0]), name
-    for flows in (env, alone):
-        flows.close()

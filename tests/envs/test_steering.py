@@ -45,7 +45,7 @@ def test_pid_turns_towards_the_centreline_within_its_bounds(
     assert turn.item() == pytest.approx(expected)
 
 
-def test_neither_sway_of_the_nose_nor_whole_turns_change_the_turn() -> None:
+def test_sway_and_whole_turns_do_not_steer() -> None:
     steering, headings = PIDSteering(), torch.tensor([pi, -pi, 3.0 * pi, pi - 0.1]).double()
     nose, middle = (torch.tensor([each]).double().expand(4, 2) for each in ((1.5, 0.1), (2.0, 0.0)))
     seen = steering.observe(nose, middle, headings)

@@ -30,9 +30,7 @@ def test_flow_names_hold_the_speed_and_a_differing_diameter() -> None:
     assert replace(VARIED, has_disc=False).diameters_bl == (0.0, 0.0, 0.0)
 
 
-def test_wakes_match_disc_and_speed_and_each_disc_has_one_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_disc_has_one_file_of_wakes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recipes = []
 
     def develop(recipe: WakeRecipe, **_: object) -> WakeBank:

@@ -132,7 +132,7 @@ def test_angle_of_attack_follows_the_stream_of_each_row() -> None:
     assert read(env)["angle_of_attack"].tolist() == pytest.approx(expected)
 
 
-def test_angle_of_attack_of_a_bending_fish_is_its_reported_heading() -> None:
+def test_angle_of_attack_of_bending_fish_is_its_heading() -> None:
     env = begin(Follower(**TINY))
     env.solver.body.internal_angle.fill_(0.05)
     torch.testing.assert_close(read(env)["angle_of_attack"], env.measure()["heading"].rad2deg())

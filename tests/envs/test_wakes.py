@@ -96,7 +96,7 @@ def test_file_is_written_once_and_then_read(
     assert sorted(path.suffix for path in (tmp_path / "new").iterdir()) == [".lock", ".pt"]
 
 
-def test_those_that_ask_at_once_for_a_wake_develop_it_once(
+def test_concurrent_requests_develop_a_wake_once(
     bank: WakeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[str] = []
@@ -113,7 +113,7 @@ def test_those_that_ask_at_once_for_a_wake_develop_it_once(
     assert all(torch.equal(each.populations, bank.populations) for each in banks)
 
 
-def test_key_covers_all_that_shapes_the_wakes_and_nothing_else() -> None:
+def test_key_follows_the_recipe() -> None:
     body, tau = (DCylinder(diameter=9.0),), {"tau": 0.53}
     same = replace(RECIPE, config=replace(RECIPE.config, bodies=(DCylinder(diameter=8.0),)))
     assert same.key == RECIPE.key
