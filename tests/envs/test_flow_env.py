@@ -176,13 +176,6 @@ def test_reward_is_the_sum_of_its_reported_terms() -> None:
     torch.testing.assert_close(after["reward"], terms[0] + terms[1] + terms[2])
 
 
-def test_environment_does_not_move_to_another_device(small_task: Predation) -> None:
-    env = make_flows(small_task, 1)
-    assert env.to("cpu") is env
-    with pytest.raises(ValueError, match="cannot move"):
-        env.to("meta")
-
-
 @pytest.mark.parametrize("action", [-1, 0, 2])
 def test_illegal_action_is_refused(action: int) -> None:
     env = make_flows(MaskedTask(**SMALL), 2)

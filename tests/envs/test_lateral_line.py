@@ -115,14 +115,6 @@ def test_pressure_is_the_deviation_from_the_mean_over_neuromasts() -> None:
     assert_near(feel(line, solver)["pressure"], expected)
 
 
-def test_averaged_signal_is_the_mean_over_neuromasts() -> None:
-    solver, line = make_solver(ux=0.03), LateralLine(features=PAPER, is_averaged=True)
-    each, mean = feel(LateralLine(features=PAPER), solver), feel(line, solver)
-    for name, values in each.items():
-        assert_near(mean[name][:, 0], values.mean(-1), atol=1e-6)
-    assert line.layout["num_neuromasts"] == 1
-
-
 def test_noise_depends_on_key_and_time_alone() -> None:
     solver, line = make_solver(), LateralLine(features=("u_x", "u_y"), noise=0.1)
     signals = []

@@ -3,12 +3,9 @@
 import pytest
 import torch
 from torch.nn.functional import one_hot
-from torchrl.collectors import Collector
 from torchrl.data import OneHot
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
-from torchrl.modules import MLP, QValueActor
-from torchrl.objectives import DQNLoss
 
 from fishrl.envs import AbstractTask, Flows, KarmanGait, OneHotAction, Predation, make_env
 from tests.envs.conftest import CONTINUOUS, SMALL
@@ -57,21 +54,6 @@ def test_each_fish_has_its_own_one_hot_action() -> None:
     torch.testing.assert_close(turns, torch.tensor([[0.0, 0.2], [-0.2, 0.0]]))
     batch = env.rollout(12)["agents"]
     assert batch["action_mask"][batch["action"].bool()].all()
-
-
-def test_torchrl_trains_dqn_on_legal_actions(env: TransformedEnv) -> None:
-    num_inputs = env.observation_spec["observation_stack"].shape[-1]
-    policy = QValueActor(
-        MLP(num_inputs, env.action_spec.shape[-1], num_cells=[16]), in_keys=["observation_stack"],
-        spec=env.action_spec_unbatched, action_mask_key="action_mask",
-    )  # fmt: skip
-    (batch,) = list(Collector(env, policy, frames_per_batch=16, total_frames=16))
-    assert batch["action_mask"][batch["action"].bool()].all()
-    loss = DQNLoss(policy, action_space=env.action_spec, delay_value=True)
-    loss.make_value_estimator(gamma=0.99)
-    total = loss(batch.reshape(-1))["loss"]
-    total.backward()
-    assert total.isfinite() and all(p.grad.isfinite().all() for p in loss.parameters())
 
 
 def test_continuous_actions_are_refused() -> None:

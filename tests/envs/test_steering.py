@@ -69,16 +69,6 @@ def test_network_turns_the_fish_by_its_most_probable_action(tmp_path: Path) -> N
     torch.testing.assert_close(steering.turn(seen), radians(5.0) * (expected.double() - 1.0))
 
 
-def test_network_observes_a_point_upstream_as_food(tmp_path: Path) -> None:
-    """x and y of the point from the nose, its distance, and how far to the left it lies."""
-    save_weights(linear_layers(make_mlp((16, 8, 3))), tmp_path / "w")
-    steering = PolicySteering(path=str(tmp_path / "w"), ahead_bl=2.0)
-    nose, middle = torch.tensor([[1.5, 0.5]]).double(), torch.tensor([[2.0, 0.0]]).double()
-    (seen,) = steering.observe(nose, middle, torch.tensor([pi]).double())
-    expected = torch.tensor([-2.0, -0.5, 4.25**0.5, torch.atan(torch.tensor(0.25))]).double()
-    torch.testing.assert_close(seen, expected, rtol=0, atol=1e-6)
-
-
 def test_keys_depend_on_the_weights_and_not_on_their_path(tmp_path: Path) -> None:
     paths = [tmp_path / name for name in "ab"]
     keys = []

@@ -9,7 +9,6 @@ import torch
 
 from fishrl.envs import KarmanGait
 from fishrl.envs.changes import StreamSwitches
-from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank, WakeRecipe
 from tests.envs.conftest import SMALL, act, make_flows
@@ -86,15 +85,3 @@ def test_flow_index_is_the_nearest_speed_behind_the_same_disc() -> None:
 def test_invalid_discs_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_task(Stream(**settings))
-
-
-def test_start_inside_a_disc_is_refused() -> None:
-    area = SafeArea(near_bl=-0.2, far_bl=1.5, aside_bl=0.5)
-    start = {"start_x_bl": (-0.05, -0.05), "start_y_bl": (0.3, 0.3), "safe_area": area}
-    stream = Stream(diameter_bl=(0.4, 0.6, 0.4), face_bl=1.0)
-    tasks = [KarmanGait(**TINY | start, stream=stream, start_flows=(flow,)) for flow in (0, 1)]
-    for task in tasks:
-        task.__dict__["wakes"] = None
-    make_flows(tasks[0], 1)
-    with pytest.raises(ValueError, match=r"bodies 0 \(Fish\) and 1 .* overlap"):
-        make_flows(tasks[1], 1)

@@ -101,14 +101,6 @@ def test_danger_area_of_the_scene_is_the_tasks() -> None:
         assert margin.item() == pytest.approx(0.0, abs=1e-9)
 
 
-def test_midline_of_a_straight_fish_is_its_axis() -> None:
-    env = begin(Predation(**SMALL))
-    midline, head = read(env)["midline"][0], env.solver.markers()[0, 0]
-    assert midline[:, 1].tolist() == pytest.approx([head[1].item()] * len(midline))
-    assert midline[0].tolist() == pytest.approx(head.tolist())
-    assert midline[-1, 0] - head[0] == pytest.approx(20.0)
-
-
 class AcrossStream(Predation):
     """Food in a stream along +y, set by the boundaries alone."""
 

@@ -84,18 +84,6 @@ def test_wake_without_vortices_is_refused() -> None:
         develop_wakes(replace(RECIPE, num_travels=4.0), compile=False)
 
 
-def test_file_is_written_once_and_then_read(
-    bank: WakeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", lambda *_, **__: bank)
-    load_wakes(RECIPE, tmp_path / "new")
-    monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", None)
-    again = load_wakes(RECIPE, tmp_path / "new")
-    assert torch.equal(again.populations, bank.populations)
-    assert torch.equal(again.shedding_frequencies, bank.shedding_frequencies)
-    assert sorted(path.suffix for path in (tmp_path / "new").iterdir()) == [".lock", ".pt"]
-
-
 def test_concurrent_requests_develop_a_wake_once(
     bank: WakeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
