@@ -38,7 +38,7 @@ CHOICES: list[tuple[type, dict[str, Any]]] = [
 @pytest.fixture(params=CHOICES, ids=lambda choice: "-".join((choice[0].__name__, *choice[1])))
 def task(request: pytest.FixtureRequest) -> AbstractTask:
     kind, settings = request.param
-    return kind(**SMALL, **SIZES.get(kind, {}), **settings)
+    return kind(**SMALL, **SIZES.get(kind, {}), time_limit=8, **settings)
 
 
 def test_package_exports_every_concrete_task() -> None:
@@ -79,7 +79,7 @@ def test_reference_page_gives_every_number_action_and_term(task: AbstractTask) -
 
 def test_random_actions_are_legal_in_every_state(task: AbstractTask) -> None:
     env = make_env(task=task, flows=Flows(num_envs=4, compile=False))
-    rollout = env.rollout(40, break_when_any_done=False)
+    rollout = env.rollout(10, break_when_any_done=False)
     assert rollout["next", "done"].any()  # terminal states are among them
     rollout = split_fish(rollout.reshape(-1))
     if task.action_bounds is not None:
