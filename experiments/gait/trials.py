@@ -56,10 +56,6 @@ class Histories(NamedTuple):
     lift: Tensor  #: [E, N M] mean on the obstacle within each frame, rho (L / T)^2 L; 0 without one
 
 
-#: Of those entries that are not float64.
-_DTYPES = {"flow": "int64", "lengths_T": "float32", "terminated": "bool", "diverged": "bool"}
-
-
 def pick(histories: Histories, rows: Tensor) -> Histories:
     """Return some of the episodes; ``rows`` is a mask ``[E]``."""
     return Histories(*(value[rows] for value in histories))
@@ -199,10 +195,7 @@ def run_trial(
     key = make_key(task, trial.identity, episodes, FRAMES, *versions)
     path = folder / "histories" / f"{trial.name}-{key}.pt"
     if path.is_file():
-        like = dict.fromkeys(Histories._fields, "float64") | _DTYPES
-        kept = load_tensors(path, what="histories", remedy="delete the file", like=like)
-        if len({value.shape[:1] for value in kept.values()}) > 1:
-            raise ValueError(f"histories {path}: the entries differ in length; delete the file")
+        kept = load_tensors(path, what="histories", remedy="delete the file")
         return [pick(Histories(**kept), kept["flow"] == flow) for flow in range(num_streams)]
     starts: TensorDict = task.sample_starts(
         num_streams * episodes, torch.Generator().manual_seed(0)

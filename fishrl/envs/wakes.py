@@ -25,7 +25,6 @@ from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.physics.diagnostics import find_crossings, measure_cycles
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
-from fishrl.physics.lattice import Q
 from fishrl.settings import Settings
 
 logger = logging.getLogger(__name__)
@@ -91,10 +90,7 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path) -> WakeBank:
                 bank = develop_wakes(recipe)
                 with staged(path) as stage:
                     torch.save({name: getattr(bank, name) for name in names}, stage)
-    num, size = len(recipe.speeds), (recipe.config.height, recipe.config.width)
-    found = (f"float32 {[num, recipe.num_phases, Q, *size]}", f"float64 {[num]}")
-    like = dict(zip(names, found, strict=True))
-    return WakeBank(**load_tensors(path, what="wakes", remedy="delete the file", like=like))
+    return WakeBank(**load_tensors(path, what="wakes", remedy="delete the file"))
 
 
 def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:

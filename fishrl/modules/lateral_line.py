@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from fishrl.files import find_misfit, load_tensors, staged
+from fishrl.files import load_tensors, staged
 from fishrl.modules.actors import make_mlp
 from fishrl.settings import build
 
@@ -155,16 +155,11 @@ class LateralLineClassifier(nn.Module):
         try:
             if content["format"] != _FORMAT:
                 raise ValueError("it has another format")
-            with torch.device("meta"):  # the file may ask for any size
-                classifier = build(cls, content["settings"])
-            own = classifier.state_dict().items()
-            like = {name: f"float32 {list(tensor.shape)}" for name, tensor in own}
-            if problem := find_misfit(content["state"], like):
-                raise ValueError(problem)
+            classifier = build(cls, content["settings"])
+            classifier.load_state_dict(content["state"])
         except Exception as error:  # invalid types raise anything
             said = " ".join(str(error).split())
             raise ValueError(f"{what} {path}: the file does not fit ({said}); {remedy}") from error
-        classifier.load_state_dict(content["state"], assign=True)
         return classifier.eval()
 
 

@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 from pydantic import Field, PositiveInt
-from torch import nn
 from torchrl import checkpoint as torchrl_checkpoint
 
-from fishrl.files import describe_tensor, load_tensors, write_whole
+from fishrl.files import load_tensors, write_whole
 from fishrl.training.plain_files import Count, Stored, Tree, read_plain
 from fishrl.training.policy_spec import CHECKED, PolicySpec
 from fishrl.training.recognition import locate
@@ -182,12 +181,8 @@ class Checkpoint:
         files = self.files
         try:
             for name, component in components.items():
-                own = component.state_dict() if isinstance(component, nn.Module) else {}
-                like = {key: describe_tensor(value) for key, value in own.items()}
-                remedy = "it is of another version, or its training diverged"
-                state = load_tensors(
-                    files[name], what=name, remedy=remedy, like=like or None, device=device
-                )
+                remedy = "it is of another version"
+                state = load_tensors(files[name], what=name, remedy=remedy, device=device)
                 component.load_state_dict(state)
         except Exception as error:  # states of other versions raise any
             raise _corrupt(self.path, error) from error

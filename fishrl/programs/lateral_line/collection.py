@@ -93,12 +93,6 @@ def collect(settings: CollectionSettings, progress: Callback = SILENT) -> Tensor
     place.mkdir(parents=True, exist_ok=True)
     pieces: list[TensorDict] = []
     num_done, env = 0, None
-    shape, line = (s.flows.num_envs, task.time_limit), task.lateral_line
-    like = {
-        "lateral_line": f"float32 {[*shape, line.num_samples, line.num_neuromasts, len(KNOWN)]}",
-        "is_decision": f"bool {[*shape]}",
-        "flow_index": f"int64 {[*shape]}",
-    }
     progress.on_phase("collection", total=s.num_samples)
     while num_done < s.num_samples:
         path = place / f"piece-{len(pieces):04d}.pt"
@@ -106,7 +100,7 @@ def collect(settings: CollectionSettings, progress: Callback = SILENT) -> Tensor
             env = env or make_env(task=task, flows=s.flows)
             with staged(path) as stage:
                 torch.save(record_piece(env, len(pieces), seed=s.seed).to_dict(), stage)
-        content = load_tensors(path, what="data", remedy="delete the file", like=like)
+        content = load_tensors(path, what="data", remedy="delete the file")
         pieces.append(TensorDict(content, content["is_decision"].shape))
         num_new = int(pieces[-1]["is_decision"].sum())
         shown = {"episodes": sum(map(len, pieces))}
