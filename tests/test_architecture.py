@@ -10,18 +10,8 @@ ROOT = Path(__file__).parents[1]
 FORBIDDEN_NAMES = {"utils", "util", "common", "core", "helpers", "helper", "misc"}
 MAX_LINES = 400
 
-TENSORS = {
-    *("torch", "tensordict", "numpy", "pydantic"),
-    *(
-        "fishrl.children",
-        "fishrl.files",
-        "fishrl.limits",
-        "fishrl.locks",
-        "fishrl.memory",
-        "fishrl.settings",
-        "fishrl.torch_state",
-    ),
-}
+OWN_BASE = ("children", "files", "limits", "locks", "memory", "settings", "torch_state")
+TENSORS = {"torch", "tensordict", "numpy", "pydantic", *(f"fishrl.{name}" for name in OWN_BASE)}
 #: Packages of the programs, which nothing in the library imports.
 PROGRAMS = TENSORS | {
     *("torchrl", "hydra", "omegaconf", "yaml", "tqdm", "psutil", "matplotlib", "PIL", "scipy"),
@@ -33,19 +23,15 @@ TORCHRL_FILES = tuple(
     for name in ("flow_env", "making", "episodes", "recognition", "specs", "transforms")
 )
 DRAWING = {"rerun", "matplotlib", "PIL", "imageio_ffmpeg", "xarray", "pyvista"}
+WRAPPED = {"torchrl", "gymnasium", "pettingzoo", "stable_baselines3", "minari"}
 # The first matching prefix applies to a file; "a.b" allows "a.b" and "a.b.c".
 LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
-    ("fishrl/__init__.py", set()),
-    ("fishrl/settings/", {"numpy", "pydantic", "pydantic_core", "fishrl.settings"}),
-    ("fishrl/children.py", set()),
+    (tuple(f"fishrl/{name}.py" for name in ("__init__", "children", "limits", "locks")), set()),
     ("fishrl/figure_style.py", set()),
-    ("fishrl/files.py", {"torch"}),
+    ("fishrl/settings/", {"numpy", "pydantic", "pydantic_core", "fishrl.settings"}),
     ("fishrl/pages.py", {"fishrl.files"}),
     ("fishrl/extras.py", {"packaging"}),
-    ("fishrl/limits.py", set()),
-    ("fishrl/locks.py", set()),
-    ("fishrl/memory.py", {"torch", "fishrl.limits"}),
-    ("fishrl/torch_state.py", {"torch"}),
+    (("fishrl/files.py", "fishrl/memory.py", "fishrl/torch_state.py"), {"torch", "fishrl.limits"}),
     # bodies know nothing of flows
     ("fishrl/physics/bodies/", TENSORS | {"fishrl.physics.bodies", "fishrl.physics.lattice"}),
     ("fishrl/physics/", TENSORS | {"fishrl.physics"}),
@@ -54,44 +40,21 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/envs/one_hot.py", TENSORS | {"torchrl"}),
     (TORCHRL_FILES, TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/wakes.py", TENSORS | {"tqdm"} | TASK_SIDE),
-    (
-        "fishrl/wrappers/vector.py",
-        TENSORS | {"torchrl", "gymnasium", "fishrl.extras", "fishrl.wrappers.pictures"} | TASK_SIDE,
-    ),
-    ("fishrl/wrappers/pictures.py", TENSORS | {"torchrl", "fishrl.viewer"} | TASK_SIDE),
-    ("fishrl/wrappers/single.py", {"numpy", "gymnasium", "fishrl.wrappers"}),
-    ("fishrl/wrappers/gymnasium.py", {"gymnasium", "fishrl.envs", "fishrl.wrappers"}),
-    (
-        "fishrl/wrappers/pettingzoo.py",
-        TENSORS
-        | {"torchrl", "gymnasium", "pettingzoo", "fishrl.extras", "fishrl.wrappers.pictures"}
-        | TASK_SIDE,
-    ),
-    (
-        "fishrl/wrappers/stable_baselines.py",
-        {"numpy", "torchrl", "stable_baselines3", "fishrl.extras", "fishrl.wrappers"} | TASK_SIDE,
-    ),
-    (
-        "fishrl/wrappers/minari.py",
-        TENSORS | {"torchrl", "gymnasium", "minari", "fishrl.extras"} | TASK_SIDE,
-    ),
     ("fishrl/envs/", TENSORS | TASK_SIDE),
+    ("fishrl/wrappers/pictures.py", TENSORS | {"torchrl", "fishrl.viewer"} | TASK_SIDE),
+    ("fishrl/wrappers/", TENSORS | WRAPPED | {"fishrl.extras", "fishrl.wrappers"} | TASK_SIDE),
     ("fishrl/modules/", TENSORS | {"torchrl", "fishrl.modules"}),
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
     ("fishrl/training/", TENSORS | {"torchrl", "tqdm", "yaml", "psutil", "wandb", "ray", "fishrl"}),
     ("fishrl/zoo/", TENSORS | {"fishrl"}),
     ("fishrl/__main__.py", {"fishrl.programs"}),
     ("fishrl/programs/", PROGRAMS),
-    ("fishrl/wrappers/", set()),
     (
         "fishrl/viewer/",
         TENSORS | {"torchrl", "fishrl.viewer", "fishrl.figure_style"} | DRAWING | TASK_SIDE,
     ),
 )
-TORCHRL_SIDE = {
-    f"fishrl.envs.{name}"
-    for name in ("flow_env", "making", "recognition", "transforms", "episodes")
-}
+TORCHRL_SIDE = {f"fishrl.envs.{Path(name).stem}" for name in TORCHRL_FILES}
 #: Imports of own modules inside functions, for optional packages.
 MAX_LATE_IMPORTS = 5
 OWN = {"fishrl", "experiments"}
@@ -100,10 +63,7 @@ IMPORTERS: tuple[tuple[set[str], tuple[str, ...]], ...] = (
     ({"rerun"}, ("fishrl/viewer/",)),
     ({"fcntl"}, ("fishrl/locks.py",)),
     (
-        {
-            *("gymnasium", "minari", "pettingzoo", "stable_baselines3", "sb3_contrib"),
-            "fishrl.wrappers",
-        },
+        WRAPPED - {"torchrl"} | {"sb3_contrib", "fishrl.wrappers"},
         ("fishrl/wrappers/", "fishrl/programs/export_data.py"),
     ),
 )
