@@ -26,13 +26,8 @@ def cluster() -> Iterator[None]:
     pretended = {"PRETEND_CUDA": os.environ.get("PRETEND_CUDA", "")}
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("PRETEND_CUDA", raising=False)  # Ray's own processes start without torch
-        ray.init(
-            num_cpus=3,
-            num_gpus=2,
-            include_dashboard=False,
-            log_to_driver=False,
-            runtime_env={"env_vars": pretended},
-        )
+        quiet = {"include_dashboard": False, "log_to_driver": False}
+        ray.init(num_cpus=3, num_gpus=2, runtime_env={"env_vars": pretended}, **quiet)
     yield
     ray.shutdown()
 

@@ -1,6 +1,7 @@
 """Environments on a GPU, or on the pretended one of ``tests/pretend``: ``make test-gpu``."""
 
 import sys
+from functools import partial
 
 import pytest
 import torch
@@ -28,7 +29,7 @@ def first_legal(state: TensorDictBase) -> TensorDictBase:
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_an_environment_on_a_gpu_does_what_it_does_on_a_cpu(name: str) -> None:
+def test_environment_on_a_gpu_equals_that_on_a_cpu(name: str) -> None:
     """Three decisions, a saved and restored state; single precision."""
     task, rollouts = TASKS[name](), []
     for device in ("cuda", "cpu"):
@@ -47,13 +48,10 @@ def test_an_environment_on_a_gpu_does_what_it_does_on_a_cpu(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "num_waits", "budget"), [("predation", 3, 2500), ("karman_gait", 4, 4000)]
 )
-def test_a_decision_does_not_wait_and_launches_few_operators_besides_the_steps_of_the_flow(
+def test_decision_neither_waits_nor_launches_many_operators_between_steps(
     name: str, num_waits: int, budget: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It waits to check action and command before the flow advances, and for its end.
-
-    The steps are recorded as graphs.
-    """
+    """It waits to check action and command before the flow advances, and for its end."""
     env = make_env(task=TASKS[name](), flows=Flows(num_envs=2, device="cuda", compile=False))
     state = first_legal(env.reset())
     with sys.modules["device"].Waits() as waits:
@@ -67,12 +65,9 @@ def test_a_decision_does_not_wait_and_launches_few_operators_besides_the_steps_o
 
 
 @pytest.mark.parametrize(("first", "second"), [("cuda", "cpu"), ("cpu", "cuda")])
-def test_flows_go_on_from_a_state_of_another_device(first: str, second: str) -> None:
-    config = Predation(**FLOW).flow_config()
-    solvers = [
-        InPlaceSolver(config=config, num_envs=2, device=device, compile=False)
-        for device in (first, second)
-    ]
+def test_flows_continue_from_a_state_of_another_device(first: str, second: str) -> None:
+    make = partial(InPlaceSolver, config=Predation(**FLOW).flow_config(), num_envs=2, compile=False)
+    one, other = solvers = [make(device=device) for device in (first, second)]
     rows = torch.tensor([True, True])
     for solver in solvers:
         solver.reset_(rows)
@@ -82,12 +77,10 @@ def test_flows_go_on_from_a_state_of_another_device(first: str, second: str) -> 
         torch.testing.assert_close(solver.populations().cpu()[0], f[0])
         solver.advance_(2, torch.tensor([True, False]))
         assert solver.sample(torch.full((2, 3, 2), 9.0))[0].device.type == solver.device.type
-    solvers[0].advance_(4)
-    state = {name: value.to(second) for name, value in solvers[0].state_dict().items()}
-    solvers[1].load_state_dict(state)
-    assert torch.equal(solvers[0].populations().to(second), solvers[1].populations())
+    one.advance_(4)
+    other.load_state_dict({name: value.to(second) for name, value in one.state_dict().items()})
+    assert torch.equal(one.populations().to(second), other.populations())
     for solver in solvers:
         solver.advance_(4)
-    torch.testing.assert_close(
-        solvers[0].populations().to(second), solvers[1].populations(), rtol=0, atol=1e-6
-    )
+    here, there = one.populations().to(second), other.populations()
+    torch.testing.assert_close(here, there, rtol=0, atol=1e-6)

@@ -1,4 +1,4 @@
-"""A run continues on another device, and learns on one or on two."""
+"""Training on one device or on two."""
 
 import copy
 from pathlib import Path
@@ -9,21 +9,12 @@ import torch
 from tensordict.nn import CudaGraphModule
 
 from fishrl.envs import Flows, Predation
-from fishrl.training import (
-    DiscreteSAC,
-    LearningSettings,
-    Plan,
-    RunSettings,
-    open_run,
-    resume,
-    train,
-)
+from fishrl.training import DiscreteSAC, LearningSettings, Plan, open_run, resume
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.loop import Training
 from fishrl.training.policy_spec import PolicySpec
 from tests.docs.test_tutorials import BRIEF
-from tests.envs.conftest import move_kinematically
 from tests.envs.test_real_flow import TINY
 from tests.objectives.transitions import NUM_ACTIONS, NUM_INPUTS, make_transitions
 from tests.training.conftest import assert_equal_weights
@@ -34,37 +25,12 @@ pytestmark = [
 ]
 
 
-@pytest.mark.usefixtures("kinematic")
-@pytest.mark.parametrize(("first", "second"), [("cuda", "cpu"), ("cpu", "cuda")])
-def test_a_run_goes_on_on_another_device(first: str, second: str, tmp_path: Path) -> None:
-    summary = train(
-        task=Predation(**TINY | BRIEF | {"time_limit": 2}),
-        learning=LearningSettings(
-            flows=Flows(num_envs=2, compile=False, device=first),
-            warmup_frames=2, batch_size=2, hidden=(8,),
-        ),
-        run=RunSettings(
-            total_frames=4, folder=str(tmp_path), name="run",
-            eval_episodes=1, final_episodes=1, baselines=(),
-        ),
-    )  # fmt: skip
-    longer = resume(
-        tmp_path / "run", total_frames=8, flows=Flows(num_envs=2, compile=False, device=second)
-    )
-    assert (summary["frames"], longer["frames"]) == (4, 8)
-
-
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), DRQN()], ids=["sac", "drqn"])
 @pytest.mark.parametrize(("device", "learner_device"), [("cuda", "cpu"), ("cpu", "cuda")])
-def test_flows_and_networks_have_devices_of_their_own(
-    device: str,
-    learner_device: str,
-    algorithm: Any,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.usefixtures("kinematic")
+def test_flows_and_networks_have_devices_of_their_own_and_may_change_them(
+    device: str, learner_device: str, algorithm: Any, tmp_path: Path
 ) -> None:
-    move_kinematically(monkeypatch)
-
     def start(name: str, total_frames: int) -> Training:
         plan = Plan(
             task=Predation(**TINY | BRIEF | {"time_limit": 5}), algorithm=algorithm,
@@ -85,18 +51,15 @@ def test_flows_and_networks_have_devices_of_their_own(
     parts = Training(open_run(tmp_path / "parts", total_frames=32))
     parts.run()
     assert_equal_weights(whole, parts)
+    other = Flows(num_envs=2, compile=False, device=learner_device)
+    assert resume(tmp_path / "parts", total_frames=40, flows=other)["frames"] == 40
 
 
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), SAC()], ids=["discrete", "continuous"])
 def test_a_gradient_step_is_one_graph(algorithm: Any) -> None:
     is_continuous = algorithm.takes_continuous
-    spec = PolicySpec(
-        task="",
-        num_inputs=NUM_INPUTS,
-        num_actions=NUM_ACTIONS,
-        is_continuous=is_continuous,
-        hidden=(8,),
-    )
+    sizes = {"num_inputs": NUM_INPUTS, "num_actions": NUM_ACTIONS, "hidden": (8,)}
+    spec = PolicySpec(task="", is_continuous=is_continuous, **sizes)
     learner = algorithm.make_learner(spec, LearningSettings(batch_size=8), device="cuda")
     transitions = make_transitions(20)
     transitions["next", "diverged"] = torch.zeros(20, 1, dtype=torch.bool)
@@ -104,19 +67,17 @@ def test_a_gradient_step_is_one_graph(algorithm: Any) -> None:
         transitions["action"] = torch.rand(20, NUM_ACTIONS)
     learner.store(transitions.to("cuda"))
     learner.update()
-    loss, optimiser = (
-        copy.deepcopy(part.state_dict()) for part in (learner.loss, learner.optimiser)
-    )
+    before = copy.deepcopy((learner.loss.state_dict(), learner.optimiser.state_dict()))
     runs = []
     for is_traced in (True, False):
         learner._is_traced = is_traced
+        loss, optimiser = copy.deepcopy(before)
         learner.loss.load_state_dict(loss)
-        learner.optimiser.load_state_dict(copy.deepcopy(optimiser))
+        learner.optimiser.load_state_dict(optimiser)
         torch.manual_seed(0)
         runs.append([learner.update() for _ in range(7)])
         if is_traced:
             graph = learner._step._operations
-            assert isinstance(graph, CudaGraphModule)
-            assert graph.graph is not None  # recorded
+            assert isinstance(graph, CudaGraphModule) and graph.graph is not None  # recorded
     for step, expected in zip(*runs, strict=True):
         torch.testing.assert_close(step, expected)
