@@ -31,8 +31,8 @@ from fishrl.training.plain_files import Stored, read_plain
 from fishrl.training.recognition import FILE
 from fishrl.training.run_folder import write_json
 
-#: Settings of the trainings of each arm, besides those of the scale. Without rows of frequencies a
-#: flow label is of use only to a policy that observes it.
+#: Settings of the trainings of each arm, in addition to the settings of the scale. Without rows of
+#: frequencies, a flow label is useful only to a policy that observes it.
 ARM_SETTINGS = {
     "both": ("{recognition}",),
     "macro_actions": (),
@@ -45,17 +45,17 @@ ARM_SETTINGS = {
 
 
 class Scale(Settings):
-    """What is run at a scale, as settings of the programs.
+    """Settings of the programs at one scale.
 
     Args:
-        name: of the scale.
-        predation: of ``train``, for the first task.
-        gait: of ``train``, for the second.
-        lateral_line: of ``train-lateral-line``.
-        swimmer: of ``validate``.
-        seeds: of the trainings.
-        episodes: of each policy in each stream.
-        periods: duration of such an episode in T.
+        name: name of the scale.
+        predation: settings of ``train`` for the first task.
+        gait: settings of ``train`` for the second task.
+        lateral_line: settings of ``train-lateral-line``.
+        swimmer: settings of ``validate``.
+        seeds: seeds of the trainings.
+        episodes: episodes of each policy in each stream.
+        periods: duration of an episode, T.
         free_episodes: episodes in each stream without the half disc.
     """
 
@@ -107,9 +107,10 @@ def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path
 
 
 def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
-    """Yield all jobs in their order, each with what the ones before have made.
+    """Yield all jobs in order; later jobs use the results of earlier ones in the folder.
 
-    ValueError for wrong settings of a training.
+    Raises:
+        ValueError: for invalid settings of a training.
     """
     words = ("validate", "cases=[swimmer]", *scale.swimmer, f"folder={quote(f'{folder}/swimmer')}")
     yield Job(name="swimmer", words=words)
@@ -149,7 +150,7 @@ class _Machine(Stored):
 
 
 class _Entry(Stored):
-    """What ``jobs.json`` holds of a job."""
+    """Entry of a job in ``jobs.json``."""
 
     words: Annotated[list[str], Field(min_length=1)]
     seconds: NonNegativeFloat
@@ -158,7 +159,7 @@ class _Entry(Stored):
 
 
 class Record:
-    """What has been run in a folder, kept in ``jobs.json``."""
+    """The jobs that have run in a folder, stored in ``jobs.json``."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / "jobs.json"

@@ -107,7 +107,8 @@ def lock_phases(histories: Histories, shedding_frequency: float, *, frames_per_T
 def find_phase(signal: NDArray[np.float64], frequency: float, rate: float) -> NDArray[np.float64]:
     """Return the phase of signals ``[..., n]``, ``rate`` samples per time, near a frequency.
 
-    It is that of the analytic signal (Hilbert transform) of what lies within 0.5 to 1.5 times it.
+    It is the phase of the analytic signal (Hilbert transform) of the band from 0.5 to 1.5 times the
+    frequency.
     """
     spectrum = np.fft.fft(signal - signal.mean(-1, keepdims=True))
     at = np.fft.fftfreq(signal.shape[-1], 1.0 / rate)

@@ -19,11 +19,11 @@ from fishrl.programs.statistics import half_width
 from fishrl.training.baselines import make_gait_policy
 from fishrl.training.callback import SILENT, Callback
 
-#: Longest duration of an episode, T; the work per T is that of its second half.
+#: Longest duration of an episode, T; the work per T is measured in its second half.
 MAX_PERIODS = 30.0
 #: Frequency of the controller at zero error and largest one, beats per T; number of frequencies.
 FREQUENCY, MAX_FREQUENCY, NUM_FREQUENCIES = 5.0, 10.0, 81
-#: Speed of the tail, nodes per step: at that of the wake (0.15) the flow diverges.
+#: Speed of the tail, nodes per step; at 0.15, as in the wake, the flow diverges.
 MAX_WALL_SPEED = 0.1
 
 

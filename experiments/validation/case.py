@@ -16,13 +16,13 @@ PASS, MISSED, RECORDED = "pass", "MISSED", "recorded"
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a case, in a process of its own, on one thread.
+    """One run of a case, in a separate process with one thread.
 
     Args:
-        function: at the top of a module, so that another process finds it; returns JSON types.
-        arguments: keywords of ``function``, JSON types likewise; unique within the case.
-        cost: node-steps, roughly; the most expensive jobs start first.
-        is_quick: whether it belongs to the quick runs.
+        function: top-level function of a module; returns JSON types.
+        arguments: keyword arguments of ``function``, of JSON types; unique within the case.
+        cost: approximate node-steps; the most expensive jobs start first.
+        is_quick: whether the job belongs to the quick runs.
     """
 
     function: Callable[..., Result]
@@ -39,19 +39,19 @@ class Job:
 
     @property
     def defaults(self) -> dict[str, Any]:
-        """Defaults of the function's arguments."""
+        """Default values of the arguments."""
         parameters = inspect.signature(self.function).parameters
         return {name: parameter.default for name, parameter in parameters.items()}
 
 
 @dataclass(frozen=True)
 class Runs:
-    """Finished runs of a case, found by their arguments; what is not given has its default."""
+    """Finished runs of a case, found by arguments, which have the defaults of the function."""
 
     finished: Sequence[tuple[Job, Result]]
 
     def by(self, name: str, **arguments: Any) -> dict[Any, Result]:
-        """Return the runs with these other arguments, by the value of the argument ``name``."""
+        """Return the runs with ``arguments`` by their value of the argument ``name``."""
         found = {}
         for job, result in self.finished:
             given = job.defaults | job.arguments
@@ -147,19 +147,18 @@ def check_refined(
 
 @dataclass(frozen=True)
 class Case:
-    """A flow with a known solution or published results; a module of this package defines it.
+    """A flow with a known solution or published results, defined by a module of this package.
 
     Args:
-        name: of its files, and on the command line; words joined by hyphens.
-        text: docstring of the module: the title, then in one paragraph the set-up (domain,
-            boundaries, scales, duration, what is measured); both go into the report.
-        source: of the reference values.
+        name: name of the files and on the command line; words joined by hyphens.
+        text: docstring of the module for the report: title, then a paragraph about the set-up
+            (domain, boundaries, scales, duration, measurements).
+        source: source of the reference values.
         jobs: the runs.
-        judge: yields the checks of the finished runs, perhaps the quick ones alone.
-        draw: draws the results and the reference into an empty figure.
-        size: of the figure, width and height in inches.
-        headline: quantity of the check that stands for the case in the summary table; by default
-            that of the first.
+        judge: yields the checks of the finished runs, which may be the quick ones only.
+        draw: draws results and reference into an empty figure.
+        size: width and height of the figure, inches.
+        headline: quantity of the check in the summary table; by default the first check.
     """
 
     name: str
@@ -178,5 +177,5 @@ class Case:
 
     @property
     def setup(self) -> str:
-        """Set-up, as one line."""
+        """Description of the set-up in one line."""
         return " ".join((self.text or "").partition("\n")[2].split())

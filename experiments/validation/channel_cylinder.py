@@ -76,7 +76,7 @@ def run_channel(
 ) -> Result:
     """Run the benchmark from a developed channel flow; ``diameter`` is a multiple of 10 nodes.
 
-    Returns those of ``measure_wake``, and the pressure drop in Pa.
+    Returns the results of ``measure_wake``, and the pressure drop in Pa.
     """
     mean, is_shedding = MEAN * speed, reynolds == 100
     motion = wake.kick(mean, diameter, travels=1.0) if is_shedding else Fixed()

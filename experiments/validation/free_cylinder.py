@@ -62,7 +62,7 @@ VIEW_D = (-3.0, 15.0, -4.0, 4.0)  # left, right, low, high
 def run_cylinder(*, diameter: int, height: int, reynolds: int, speed: float) -> Result:
     """Run a cylinder in a box ``height`` D high.
 
-    Returns those of ``measure_wake``, and the length of a steady wake / D.
+    Returns the results of ``measure_wake``, and the length of a steady wake / D.
     """
     is_shedding = reynolds in SHEDDING
     upstream, downstream = height // 2, max(20, height // 2)

@@ -49,7 +49,7 @@ SHIFTS = {
 BASE, MIRRORED, MOVING, TURNED = "as it is", "mirrored", "moving frame", "turned by 90°"
 STREAMS = {f"{MOVING}, {stream}": stream for stream in (0.02, 0.08, -0.08)}
 ANGLES = {f"turned by {angle}°": radians(angle) for angle in (15, 30, 45)}
-LIMIT, FAST_LIMIT = 0.01, 0.025  # of the differences; of those that the lattice makes
+LIMIT, FAST_LIMIT = 0.01, 0.025  # largest difference; largest difference due to the lattice
 KINDS = {
     "shifted by part of a node": (tuple(SHIFTS), LIMIT),
     "mirrored": ((MIRRORED,), LIMIT),
@@ -203,9 +203,9 @@ JOBS = [
 
 
 def compare(run: Result, turned: Result | None, *, is_speed: bool) -> dict[str, float]:
-    """Return by change how far the vector (x, y) is from that of the flow as it is, by its size.
+    """Return the relative difference of each changed flow's vector (x, y) from the unchanged one.
 
-    ``turned`` holds the vectors where all is turned; with ``is_speed`` only lengths count.
+    ``turned`` holds the vectors of the rotated flows; with ``is_speed`` only lengths are compared.
     """
     vectors = {name: vector for name, vector in run.items() if name != BASE}
     for name, vector in (turned or {}).items():

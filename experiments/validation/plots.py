@@ -1,4 +1,4 @@
-"""What figures of several cases share, and the order of convergence."""
+"""Parts of figures, and the order of convergence."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from math import log

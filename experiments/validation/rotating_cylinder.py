@@ -39,7 +39,7 @@ VIEW_D = (-3.0, 15.0, -4.0, 4.0)  # left, right, low, high
 
 
 def turn(*, diameter: int, skin: str, size: int = SIZE, speed: float = SPEED) -> Result:
-    """Run the cylinder in a square of ``size`` D at ``speed``; return those of ``measure_wake``."""
+    """Run the cylinder in a square of ``size`` D and return the results of ``measure_wake``."""
     rate = 2.0 * speed / diameter
     middle = 0.5 * size * diameter
     left, right, low, high = (0.5 * size + side for side in VIEW_D)

@@ -1,4 +1,4 @@
-"""What cases with one body in a flow share: its start, forces over time, pictures of wakes."""
+"""Start, forces over time and pictures of wakes for cases with one body in a flow."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -51,7 +51,7 @@ def start_stream(
     sides: Boundary = OPEN_SIDE,
     skin: Skin = EXACT_SKIN,
 ) -> InPlaceSolver:
-    """Return a body in a stream along x that fills the domain, no slip solved directly by default.
+    """Return a body in a stream along x, by default with a direct force solve.
 
     ``place`` and ``size`` are in nodes, ``speed`` in nodes per step.
     """

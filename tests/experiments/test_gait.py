@@ -91,7 +91,7 @@ def test_trained_gaits_are_tried_in_every_flow(trained: Path, tmp_path: Path) ->
 
 
 def list_learned(folder: Path) -> dict[str, str]:
-    """Return what the last row of a run says of its learning."""
+    """Return the frames and training metrics in the last row of a run."""
     *_, last = read_rows(folder)
     return {name: value for name, value in last.items() if name.startswith(("frames", "train/"))}
 
