@@ -45,6 +45,7 @@ An unknown key is reported with the nearest existing one, an invalid value with 
 #: Headings, and the packages whose settings are listed there; the first that matches counts.
 SECTIONS = {
     "Tasks": ("fishrl.envs",),
+    "Skins": ("fishrl.physics.skins",),
     "Algorithms": ("fishrl.training.algorithms",),
     "Training": ("fishrl.training", "fishrl.objectives"),
     "Viewer": ("fishrl.viewer",),
