@@ -9,7 +9,7 @@ at rest; these sum to rho - 1, and their first moment is the momentum. A step re
 populations towards equilibrium (collision), lets fluid and bodies act on each other (skin), moves
 each population to the next node along its direction (streaming) and sets those that enter at the
 edges. A body is a closed line of markers. In lattice units (distance of nodes and time step 1), M
-takes populations to moments m, and S holds their relaxation rates (``collision.py``):
+takes populations to moments m, and S holds their relaxation rates (``collision.py``)::
 
     rho = 1 + sum_i f_i,  rho u = sum_i c_i f_i           fluid
     f' = f - M^-1 S (m - m_eq)                            collision
@@ -19,7 +19,7 @@ takes populations to moments m, and S holds their relaxation rates (``collision.
 that meet it between two nodes return to the node they came from, with what the moving skin adds.
 c_i leads from a node x outside into the body, -i is the opposite direction, q is the part of this
 link that lies outside, and u_w is the velocity of the skin where the link crosses it (Bouzidi,
-Firdaouss & Lallemand 2001, eqs. 5 and 11):
+Firdaouss & Lallemand 2001, eqs. 5 and 11)::
 
     f_-i(x, t+1) = 2 q f'_i(x) + (1 - 2 q) f'_i(x - c_i) - 6 w_i c_i . u_w          q < 1/2
     f_-i(x, t+1) = (f'_i(x) + (2 q - 1) f'_-i(x) - 6 w_i c_i . u_w) / (2 q)         q >= 1/2
@@ -36,7 +36,7 @@ density and stresses of the next node outside.
 **The paper's skin, ``ImmersedBoundary()``** (``skins/immersed_boundary.py``; Li, Zhang et al. 2023,
 arXiv 2301.10085, with its equation numbers), is a force. ds is the distance of markers along the
 skin, W_l(x) the kernel of marker l at node x, A_kl = ds sum_x W_k W_l, and m_f the mass of the
-fluid inside the body:
+fluid inside the body::
 
     U*_l = sum_x W_l u                            at marker l, before the force (eq. 2)
     A g = U_d - U*                                no slip: U_d is the skin's    (eq. 4)
