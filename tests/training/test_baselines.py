@@ -10,7 +10,7 @@ from fishrl.modules import RandomPolicy
 from fishrl.training.baselines import baseline, choose_baselines, find_baselines, make_baseline
 
 
-def test_learned_policies_are_compared_with_the_default_baselines_of_the_task() -> None:
+def test_default_baselines_are_those_of_the_task() -> None:
     for task in (Predation(), Predation(food_direction="random")):
         assert choose_baselines(None, task) == ("intercept", "pursuit", "random")
     free = KarmanGait(stream=Stream(has_disc=False))
@@ -18,7 +18,7 @@ def test_learned_policies_are_compared_with_the_default_baselines_of_the_task() 
     assert [*find_baselines(free)] == ["pid", "passive", "bang_bang", "random"]
 
 
-def test_a_registered_baseline_fits_the_tasks_that_it_names() -> None:
+def test_registered_baseline_fits_the_tasks_that_it_names() -> None:
     class Drift:
         action_bounds = None
 
@@ -35,6 +35,6 @@ def test_a_registered_baseline_fits_the_tasks_that_it_names() -> None:
     assert isinstance(made, RandomPolicy) and made.seed == 3
 
 
-def test_an_unknown_baseline_is_refused_with_the_known_ones() -> None:
+def test_unknown_baseline_is_refused_with_the_known_ones() -> None:
     with pytest.raises(ValueError, match=r"has intercept, pursuit, random; did you mean 'pursuit'"):
         make_baseline("pursiut", task=Predation(), seed=0)

@@ -34,7 +34,7 @@ def load(path: Path) -> torch.nn.Linear:
     return net
 
 
-def test_a_newer_checkpoint_replaces_the_old_one_and_leaves_no_debris(tmp_path: Path) -> None:
+def test_newer_checkpoint_replaces_old_and_leaves_no_debris(tmp_path: Path) -> None:
     (tmp_path / "..last.new").mkdir()  # of a process killed while writing
     save(tmp_path / "last", value=1.0)
     net = save(tmp_path / "last", value=2.0)
@@ -46,7 +46,7 @@ def test_a_newer_checkpoint_replaces_the_old_one_and_leaves_no_debris(tmp_path: 
 
 
 @pytest.mark.parametrize("left", [".last.new", "last-000000007"])
-def test_a_kill_between_the_renames_loses_nothing(tmp_path: Path, left: str) -> None:
+def test_kill_between_the_renames_loses_nothing(tmp_path: Path, left: str) -> None:
     save(tmp_path / "last")
     (tmp_path / "last").rename(tmp_path / left)
     assert Checkpoint.find(tmp_path / "last").frames == 7
@@ -54,7 +54,7 @@ def test_a_kill_between_the_renames_loses_nothing(tmp_path: Path, left: str) -> 
     assert (load(tmp_path / "last").weight == 2.0).all()
 
 
-def test_a_run_folder_gives_its_best_checkpoint_and_before_there_is_one_the_last(
+def test_run_folder_gives_best_else_last_checkpoint(
     tmp_path: Path,
 ) -> None:
     save(tmp_path / "checkpoints" / "last")
@@ -76,7 +76,7 @@ def test_saving_leaves_other_hidden_folders_alone(tmp_path: Path) -> None:
     assert (tmp_path / "run-000000700").is_dir()
 
 
-def test_a_checkpoint_of_another_stack_is_refused(tmp_path: Path) -> None:
+def test_checkpoint_of_another_stack_is_refused(tmp_path: Path) -> None:
     save(tmp_path / "best")
     other = replace(SPEC, num_stacked=4)  # of as many numbers
     with pytest.raises(ValueError, match="trained with num_stacked = 1, the current one is 4"):
@@ -98,7 +98,7 @@ def test_other_errors_while_saving_are_not_reported_as_disk_errors(
     assert not (tmp_path / "last").exists()
 
 
-def test_a_missing_checkpoint_is_an_error_that_says_what_to_give(tmp_path: Path) -> None:
+def test_missing_checkpoint_error_names_the_remedy(tmp_path: Path) -> None:
     (tmp_path / "checkpoints").mkdir()
     (tmp_path / "empty").mkdir()
     for path in (tmp_path, tmp_path / "empty", tmp_path / "nothing"):
@@ -106,7 +106,7 @@ def test_a_missing_checkpoint_is_an_error_that_says_what_to_give(tmp_path: Path)
             load(path)
 
 
-def test_a_file_that_is_missing_cut_or_changed_is_noticed(tmp_path: Path) -> None:
+def test_file_that_is_missing_cut_or_changed_is_noticed(tmp_path: Path) -> None:
     save(tmp_path / "last")
     files = [path for path in (tmp_path / "last").rglob("*") if path.is_file()]
     assert sorted(path.name for path in files) == ["SHA256SUMS", "manifest.json", "state.pt"]
@@ -132,7 +132,7 @@ class Evil:
         return os.system, (f"touch {self.mark}",)
 
 
-def test_a_checkpoint_cannot_run_code(tmp_path: Path) -> None:
+def test_checkpoint_cannot_run_code(tmp_path: Path) -> None:
     save(tmp_path / "last")
     torch.save(Evil(tmp_path / "ran"), next((tmp_path / "last").rglob("state.pt")))
     renew_checksums(tmp_path / "last")

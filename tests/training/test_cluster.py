@@ -74,7 +74,7 @@ def undisturbed(cluster: Any, tmp_path_factory: pytest.TempPathFactory) -> Train
 
 
 @pytest.mark.cluster
-def test_run_continues_exactly_after_a_lost_collector_and_a_lost_machine(
+def test_run_continues_exactly_after_lost_collector_and_machine(
     toy: Toy, cluster: Any, undisturbed: Training, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import ray
@@ -112,7 +112,7 @@ def make_gliding_env(**arguments: Any) -> Any:
 
 @pytest.mark.cluster
 @pytest.mark.usefixtures("cluster")
-def test_collectors_use_the_newest_weights_and_count_the_frames_of_flows(
+def test_collectors_use_newest_weights_and_count_frames(
     toy: Toy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of two fish each: trajectories are distinct, and epsilon decays by flows, not by fish."""
@@ -137,7 +137,7 @@ def test_collectors_use_the_newest_weights_and_count_the_frames_of_flows(
 
 
 @pytest.mark.cluster
-def test_a_cluster_that_is_too_small_is_refused(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cluster_that_is_too_small_is_refused(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
     import ray
 
     monkeypatch.setattr(ray, "is_initialized", lambda: True)

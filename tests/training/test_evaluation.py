@@ -27,7 +27,7 @@ class Fixed:
         return run_episodes(self.env, policy, self.starts, **kwargs)
 
 
-def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:
+def test_evaluation_repeats_even_on_an_env_that_was_used() -> None:
     evaluator, ended = Fixed(5, 12), list[int]()
     first = evaluator.run(RandomPolicy(seed=1), on_episodes=ended.append)
     again = evaluator.run(RandomPolicy(seed=1))

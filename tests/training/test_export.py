@@ -13,9 +13,7 @@ from fishrl.training.logger import read_rows
 from fishrl.training.loop import Training
 
 
-def test_an_exported_policy_is_the_best_of_its_run_with_a_model_card(
-    whole: Training, tmp_path: Path
-) -> None:
+def test_export_writes_best_policy_and_model_card(whole: Training, tmp_path: Path) -> None:
     run = whole.folder.path
     folder = export_policy(run, tmp_path / "policies" / "toy", revision="abc")
     exported, best = load_policy(folder), load_policy(run)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import logging
 from dataclasses import replace
 
 import pytest
@@ -15,21 +14,12 @@ from fishrl.training.metrics import measure_memory_mb
 from tests.training.conftest import QUICK, Toy
 
 
-def test_a_state_without_legal_action_is_refused(toy: Toy) -> None:
+def test_state_without_legal_action_is_refused(toy: Toy) -> None:
     training = toy.begin()
     batch = next(iter(training.collector)).reshape(-1)
     batch["next", "action_mask"][3] = False
     with pytest.raises(ValueError, match="a state has no legal action"):
         training.learner.store(batch)
-
-
-def test_torchrl_says_nothing_of_the_buffer(toy: Toy, caplog: pytest.LogCaptureFixture) -> None:
-    training, logger = toy.begin(), logging.getLogger("torchrl")
-    logger.addHandler(caplog.handler)
-    with caplog.at_level(logging.INFO, "torchrl"):
-        training.learner.store(next(iter(training.collector)).reshape(-1))
-    logger.removeHandler(caplog.handler)
-    assert "storage" not in caplog.text.lower()
 
 
 def count_tensors() -> int:

@@ -17,12 +17,12 @@ from fishrl.training.run_folder import RunFolder, write_json
 from tests.training.conftest import Toy, read_rows
 
 
-def test_a_second_run_of_a_name_gets_a_number(tmp_path: Path) -> None:
+def test_second_run_of_a_name_gets_a_number(tmp_path: Path) -> None:
     folders = [RunFolder.create(parent=str(tmp_path), name="run").path.name for _ in range(3)]
     assert folders == ["run", "run-2", "run-3"]
 
 
-def test_a_folder_without_write_permission_is_an_error(
+def test_folder_without_write_permission_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "config.yaml").write_text("")
@@ -100,7 +100,7 @@ def test_run_of_a_wandb_agent_keeps_its_id_when_resumed(
     assert {path.name for path in recorded} == {"run-agentsid.wandb"}
 
 
-def test_wandb_mode_is_respected_and_a_missing_key_is_an_error_in_one_line(
+def test_wandb_respects_mode_and_reports_missing_key(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("WANDB_SILENT", "true")

@@ -37,7 +37,7 @@ from tests.training.conftest import (
 from tests.training.toy_fish import ToyPredation, make_toy_env
 
 
-def test_a_run_writes_its_settings_metrics_checkpoints_and_summary(
+def test_run_writes_its_settings_metrics_checkpoints_and_summary(
     toy: Toy, caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.INFO):
@@ -177,7 +177,7 @@ class Watcher(Callback):
         self.seen.append("close")
 
 
-def test_a_callback_sees_training_and_evaluations(toy: Toy) -> None:
+def test_callback_sees_training_and_evaluations(toy: Toy) -> None:
     watcher = Watcher()
     training = toy.begin(callbacks=[watcher], total_frames=16, **QUICK)
     training.run()
@@ -223,7 +223,7 @@ OFFLINE |= {"updates_per_frame": 1.0, "tau": 0.03, "buffer_size": 2000}
     ],
     ids=["discrete sac", "sac", "ppo of discrete actions", "ppo"],
 )
-def test_the_fish_learns_to_catch_still_food(
+def test_fish_learns_to_catch_still_food(
     toy: Toy, algorithm: Algorithm, is_continuous: bool, settings: dict[str, Any]
 ) -> None:
     summary = toy.begin(

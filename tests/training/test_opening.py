@@ -15,7 +15,7 @@ from tests.envs.conftest import SMALL
 from tests.training.conftest import Toy
 
 
-def test_a_baseline_with_wakes_is_checked_without_developing_them(tmp_path: Path) -> None:
+def test_baseline_with_wakes_is_checked_without_developing_them(tmp_path: Path) -> None:
     task = KarmanGait(stream=Stream(wake_folder=str(tmp_path / "wakes")))
     resolved = open_run(Plan(task=task, baselines=("shedding",), recognition=Oracle()))
     assert resolved.baselines == ("shedding",)
@@ -23,7 +23,7 @@ def test_a_baseline_with_wakes_is_checked_without_developing_them(tmp_path: Path
     assert not list(tmp_path.iterdir())
 
 
-def test_a_wrong_observation_size_is_reported_before_the_compile(
+def test_wrong_observation_size_is_reported_before_the_compile(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Wrong(Predation):
@@ -44,7 +44,7 @@ def test_a_wrong_observation_size_is_reported_before_the_compile(
         ({"buffer_size": 10**12}, "buffer .* GB: more than the .* GB of cpu"),
     ],
 )
-def test_a_run_with_invalid_settings_leaves_no_folder(
+def test_run_with_invalid_settings_leaves_no_folder(
     toy: Toy, wrong: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):

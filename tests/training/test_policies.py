@@ -34,7 +34,7 @@ def test_evaluate_reproduces_the_final_evaluation_of_a_run(toy: Toy, algorithm: 
 
 @pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("is_task_given", [False, True])
-def test_flows_are_labelled_as_in_the_run_unless_another_source_is_named(
+def test_flows_are_labelled_as_in_the_run_by_default(
     is_task_given: bool,
 ) -> None:
     run, labelled_by = find_policy("gait_sharp"), list[set[type]]()
@@ -52,7 +52,7 @@ def test_flows_are_labelled_as_in_the_run_unless_another_source_is_named(
     assert labelled_by == [{PredictedFlowLabel}, {TrueFlowLabel}, set()]
 
 
-def test_baselines_are_evaluated_by_name_and_any_policy_as_it_is() -> None:
+def test_evaluate_takes_baseline_names_and_policies() -> None:
     given: dict[str, Any] = {"task": ToyPredation(), "flows": Flows(compile=False)}
     rates = [evaluate(name, episodes=16, **given) for name in ("random", "pursuit")]
     assert rates[0]["success_rate"] < rates[1]["success_rate"]

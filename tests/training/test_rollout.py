@@ -8,7 +8,7 @@ from fishrl.training.algorithms.ppo import PPO
 from tests.training.conftest import Toy
 
 
-def test_a_rollout_joins_the_decisions_of_each_flow_and_survives_a_checkpoint(toy: Toy) -> None:
+def test_rollout_joins_decisions_per_flow_and_survives_checkpoint(toy: Toy) -> None:
     """Also where a collector reuses the memory of its batches."""
     first, second = (
         toy.begin(algorithm=PPO(rollout_length=3), batch_size=8, name=name).learner

@@ -15,7 +15,7 @@ from fishrl.training.run_folder import (
 from tests.training.conftest import limited_disk
 
 
-def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     write_whole(tmp_path / "a", "before")
     with limited_disk(3), pytest.raises(OSError, match="File too large"):
         write_whole(tmp_path / "a", "afterwards")

@@ -38,7 +38,7 @@ from tests.training.toy_fish import ToyFishEnv, ToyPredation
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path) -> None:
+def test_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path) -> None:
     summary = train(
         task=Predation(**SMALL, time_limit=6),
         algorithm=DiscreteSAC(target_entropy_weight=0.2),
@@ -136,7 +136,7 @@ ALGORITHMS: list[tuple[Algorithm, float]] = [
 @pytest.mark.parametrize(
     ("algorithm", "num_updates"), ALGORITHMS, ids=lambda a: getattr(a, "label", "")
 )
-def test_every_algorithm_resumes_exactly_with_the_expected_updates_and_legal_actions(
+def test_every_algorithm_resumes_exactly(
     toy: Toy, algorithm: Algorithm, num_updates: float
 ) -> None:
     legal = {"is_continuous": True} if isinstance(algorithm, SAC) else {"banned_action": 1}
@@ -169,7 +169,7 @@ def test_every_algorithm_resumes_exactly_with_the_expected_updates_and_legal_act
     assert all(torch.equal(value, other[key]) for key, value in mine.items())
 
 
-def test_changes_of_a_resume_are_stored_with_the_entries_of_programs(toy: Toy) -> None:
+def test_resume_stores_changes_and_keeps_entries_of_programs(toy: Toy) -> None:
     config = toy.folder / "run" / "config.yaml"
     toy.begin(name="run", total_frames=80, **QUICK).run()
     write_yaml(config, read_config(config) | {"picture_episodes": 6})
@@ -203,7 +203,7 @@ class Spare(CsvLogger):
     """Another logger."""
 
 
-def test_training_a_named_run_again_continues_it_or_returns_its_summary(toy: Toy) -> None:
+def test_training_named_run_again_continues_or_returns_summary(toy: Toy) -> None:
     phases: list[str] = []
 
     class Phases(Callback):
@@ -232,7 +232,7 @@ def test_training_a_named_run_again_continues_it_or_returns_its_summary(toy: Toy
     assert open_run(again).plan == other.plan  # it keeps its logger
 
 
-def test_a_run_without_its_checkpoint_is_not_resumed(toy: Toy) -> None:
+def test_run_without_its_checkpoint_is_not_resumed(toy: Toy) -> None:
     training = toy.begin(name="run", total_frames=16, **QUICK)
     training.run()
     (toy.folder / "run" / "checkpoints").rename(toy.folder / "elsewhere")
@@ -241,7 +241,7 @@ def test_a_run_without_its_checkpoint_is_not_resumed(toy: Toy) -> None:
         toy.reopen("run")
 
 
-def test_a_damaged_checkpoint_is_noticed_before_anything_compiles(
+def test_damaged_checkpoint_is_noticed_before_anything_compiles(
     toy: Toy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     toy.begin(name="run", total_frames=16, **QUICK).run()
@@ -271,7 +271,7 @@ def test_older_checkpoint_replaces_a_corrupt_one(toy: Toy) -> None:
 
 
 @pytest.mark.parametrize("losses", [[15, 30], [3, 3]])
-def test_run_continues_exactly_after_a_lost_worker_but_not_twice_from_one_checkpoint(
+def test_lost_worker_restarts_once_per_checkpoint(
     toy: Toy, whole: Training, monkeypatch: pytest.MonkeyPatch, losses: list[int]
 ) -> None:
     step, restore, left = ToyFishEnv._step, ToyFishEnv.set_extra_state, list(losses)

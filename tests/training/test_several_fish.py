@@ -58,7 +58,7 @@ def test_buffer_holds_the_transitions_of_each_fish(tmp_path: Path, algorithm: Al
     assert again["mean_return"] == summary["mean_return"]
 
 
-def test_epsilon_decays_with_env_frames_independent_of_the_number_of_fish(tmp_path: Path) -> None:
+def test_epsilon_decays_with_env_frames_for_any_number_of_fish(tmp_path: Path) -> None:
     algorithm = DQN(epsilon_start=1.0, epsilon_end=0.1, epsilon_frames=36)
     training = Training(open_run(make_plan(tmp_path, algorithm=algorithm)))
     chance: Any = training.learner.explorer[-1]  # type: ignore[index]
@@ -85,7 +85,7 @@ def test_run_with_several_fish_resumes_exactly(tmp_path: Path) -> None:
         training.close()
 
 
-def test_a_recurrent_policy_of_several_fish_is_refused(tmp_path: Path) -> None:
+def test_recurrent_policy_of_several_fish_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="the discrete actions of several fish"):
         make_plan(tmp_path, algorithm=DRQN(sequence_length=4))
 

@@ -139,7 +139,7 @@ def test_actions_of_every_integer_type_mean_the_same(dtype: torch.dtype) -> None
 
 
 @pytest.mark.parametrize("device", ["foo", "mps", "cuda:7"])
-def test_a_device_that_is_not_there_is_refused(device: str) -> None:
+def test_device_that_is_not_there_is_refused(device: str) -> None:
     config = FlowConfig(width=32, height=24, tau=0.6)
     for make in (
         lambda: InPlaceSolver(config=config, num_envs=1, device=device),

@@ -68,7 +68,7 @@ def make_batch(size: int) -> TensorDict:
     return TensorDict({"x": torch.ones(size)}, [size])
 
 
-def test_a_batch_of_another_shape_goes_to_the_function() -> None:
+def test_batch_of_another_shape_goes_to_the_function() -> None:
     calls: list[int] = []
 
     def double(batch: TensorDictBase) -> list[Tensor]:
@@ -82,7 +82,7 @@ def test_a_batch_of_another_shape_goes_to_the_function() -> None:
     assert calls == [2, 3, 3, 2]
 
 
-def test_a_function_that_branches_on_values_is_refused() -> None:
+def test_function_that_branches_on_values_is_refused() -> None:
     def branch(batch: TensorDictBase) -> list[Tensor]:
         return [batch["x"] if batch["x"].sum() > 0.0 else -batch["x"]]
 

@@ -81,6 +81,6 @@ def test_estimated_memory_is_that_of_a_learner(toy: Toy, algorithm: Algorithm, s
     assert algorithm.count_bytes(training.opened.spec) == pytest.approx(needed, rel=0.2)
 
 
-def test_networks_of_30_000_units_do_not_fit_into_24_gib() -> None:
+def test_networks_of_30_000_units_exceed_24_gib() -> None:
     spec = PolicySpec(task="Predation", num_inputs=12, num_actions=5, hidden=(30_000, 30_000))
     assert DiscreteSAC().count_bytes(spec) > 24 * 2**30

@@ -34,7 +34,7 @@ def test_sampled_sequences_do_not_cross_episodes(toy: Toy) -> None:
     assert num_short > 0
 
 
-def test_lstm_state_carries_over_between_decisions_and_resets_with_each_episode(toy: Toy) -> None:
+def test_lstm_state_resets_with_each_episode(toy: Toy) -> None:
     training = toy.begin(algorithm=ALGORITHM, warmup_frames=0, task={"time_limit": 4})
     batches = iter(training.collector)
     seen = [next(batches)[:, 0].clone() for _ in range(9)]
