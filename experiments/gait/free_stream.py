@@ -37,7 +37,7 @@ def make_free_trial(task: KarmanGait, *, periods: float) -> Trial:
         max_wall_speed=MAX_WALL_SPEED,
         checks_per_action=max(task.checks_per_action, checks),  # T has so many more steps
         stream=replace(task.stream, has_disc=False),
-        control=DirectFrequencies(frequencies=row, first_gear=0),
+        control=DirectFrequencies(frequencies=row),
         # from rest it is swept back until it swims
         safe_area=replace(task.safe_area, far_bl=6.0),
         reads_flow_class=False,

@@ -165,7 +165,7 @@ def make_trial(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Tria
             raise ValueError(f"baseline {name}: beats at {rates} per T, possible are 0 to {most}")
         # the highest frequency stays in the row: it determines T, and so the flow
         row = tuple(sorted({0.0, *rates, most}))
-        task = replace(task, control=DirectFrequencies(frequencies=row, first_gear=0))
+        task = replace(task, control=DirectFrequencies(frequencies=row))
     make_policy = partial(make_baseline, kind, task=task, seed=0)
     make_policy()  # refuses an unknown name before anything is run
     task = prolong(task, periods)

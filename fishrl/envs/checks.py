@@ -67,7 +67,7 @@ def check_rows(
     shape: tuple[int, ...],
     dtype: torch.dtype | None = None,
 ) -> Tensor:
-    """Return what a task's method ``name`` gave; raise ValueError for another shape or dtype."""
+    """Return the answer of a task's method ``name``; ValueError for another shape or dtype."""
     is_tensor = isinstance(got, Tensor) and tuple(got.shape) == shape
     expected = f"a tensor of shape {shape}" + f", {dtype}" * (dtype is not None)
     _require(task, name, is_tensor and dtype in (None, got.dtype), got, expected)

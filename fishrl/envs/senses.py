@@ -1,7 +1,4 @@
-"""Senses: what a policy in a stream observes, by name.
-
-A task lists names in ``observes``; the observation joins what they read, in that order.
-"""
+"""Senses of a fish in a stream, which ``KarmanGait(observes=...)`` joins in the given order."""
 
 from math import pi
 from typing import Literal

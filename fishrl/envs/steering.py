@@ -124,7 +124,7 @@ class PolicySteering(Settings, Steering):
 
     @property
     def num_stacked(self) -> int:  # type: ignore[override]
-        """Observations of four T."""
+        """Number of observations in four T."""
         return 4 * self.decisions_per_T
 
     @cached_property
@@ -157,7 +157,7 @@ def save_weights(layers: list[tuple[Tensor, Tensor]], path: str | Path) -> None:
 
 
 def load_weights(path: str | Path) -> list[tuple[Tensor, Tensor]]:
-    """Read what ``save_weights`` wrote of a policy trained on ``Predation``.
+    """Read the weights of a policy trained on ``Predation`` that ``save_weights`` wrote.
 
     Raises:
         ValueError: if the file holds no network with 16 inputs and 3 actions.

@@ -125,7 +125,7 @@ class PredictedFlowLabel(FlowLabelTransform):
         self.register_buffer("evidence", torch.zeros(0, self.num_flows))
 
     def set_container(self, container: Transform | EnvBase) -> None:
-        """Also begin without evidence in each row."""
+        """Attach to an environment, and clear the evidence of each row."""
         super().set_container(container)
         if (env := self.container) is not None:
             self.evidence = torch.zeros(*env.batch_size, self.num_flows, device=env.device)
@@ -150,7 +150,7 @@ class PredictedFlowLabel(FlowLabelTransform):
         return mean.clamp(max=self.num_flows - 1.0)  # rounding may exceed it
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Also let the label lie between two flows where it is the mean."""
+        """Add the new entries; an interpolated label lies between 0 and ``num_flows`` - 1."""
         spec: Any = super().transform_observation_spec(observation_spec)
         if self.interpolates:
             most, device = self.num_flows - 1.0, spec["flow_class"].device

@@ -122,7 +122,7 @@ def make_scene(task: AbstractTask) -> Scene:
 
 
 def _describe(task: AbstractTask, extension: HasScene) -> str:
-    """Return a task's name and what its policy observes."""
+    """Return a task's name and senses."""
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(task).__name__).capitalize()
     names = ", ".join(dict.fromkeys(sense.name for sense in task.senses))
     senses = f"senses: {names}" if names else ""
@@ -130,7 +130,7 @@ def _describe(task: AbstractTask, extension: HasScene) -> str:
 
 
 def name_fish(key: str, number: int) -> str:
-    """Return the key of what is drawn of one fish; the first fish has no number."""
+    """Return the key of a drawn part of one fish; the first fish has no number."""
     return f"{key}_{number}" if number else key
 
 

@@ -34,51 +34,38 @@ class Steady(Control):
         return Choice(gear, torch.ones_like(gear, dtype=torch.float64))
 
 
-class _Geared(Control):
-    """Base of controls with gears.
-
-    Args:
-        first_gear: initial gear, counted from 0; by default the middle one.
-    """
-
-    first_gear: NonNegativeInt | None = None
-
-    def __post_init__(self) -> None:
-        num = len(self.rows[0])
-        if self.first_gear is not None and self.first_gear >= num:
-            raise ValueError(f"first_gear = {self.first_gear}: allowed is 0 to {num - 1}")
-
-    @property
-    def start_gear(self) -> int:
-        """Initial gear."""
-        middle = (len(self.rows[0]) - 1) // 2
-        return middle if self.first_gear is None else self.first_gear
-
-
-class MacroActions(_Geared):
+class MacroActions(Control):
     """Decelerate (0), cruise (1) or accelerate (2): shift by one gear in the row of the flow.
 
     Decelerating is illegal in the first gear, accelerating in the last.
 
     Args:
         rows: tail beats per T, rising, all of the same length: one row per flow, or one for all.
+        first_gear: initial gear, counted from 0; by default the middle one.
     """
 
     action_names: ClassVar[tuple[str, ...]] = ("decelerate", "cruise", "accelerate")
 
     rows: Annotated[tuple[Row, ...], Field(min_length=1)] = DEFAULT_ROWS
+    first_gear: NonNegativeInt | None = None
 
     def __post_init__(self) -> None:
         if len({len(row) for row in self.rows}) > 1:
             raise ValueError(
                 f"rows have {[len(row) for row in self.rows]} frequencies: give all the same number"
             )
-        super().__post_init__()
+        if self.start_gear >= (num := len(self.rows[0])):
+            raise ValueError(f"first_gear = {self.first_gear}: allowed is 0 to {num - 1}")
 
     @property
     def num_flows(self) -> int:
         """Number of rows."""
         return len(self.rows)
+
+    @property
+    def start_gear(self) -> int:
+        """Initial gear."""
+        return (len(self.rows[0]) - 1) // 2 if self.first_gear is None else self.first_gear
 
     def choose(self, action: Tensor, gear: Tensor, flow: Tensor) -> Choice:
         """Return the shifted gear, and its frequency in the row of the flow."""
@@ -93,7 +80,7 @@ class MacroActions(_Geared):
         return torch.stack((can_slow, torch.ones_like(can_slow), can_speed), -1)
 
 
-class DirectFrequencies(_Geared):
+class DirectFrequencies(Control):
     """Choose one of n frequencies directly, independent of the flow (the ablation).
 
     Args:

@@ -24,7 +24,7 @@ Row = Annotated[tuple[NonNegativeFloat, ...], Field(min_length=2), Rising]
 
 
 class Choice(NamedTuple):
-    """What an action asks of a fish; ``[B]``, or ``[B, M]`` of several fish."""
+    """Gear, tail beat and steering that an action chooses; ``[B]``, or ``[B, M]`` of M fish."""
 
     gear: Tensor  #: index into a row of frequencies from now on, int64
     frequency: Tensor  #: tail beats per T, float64
@@ -94,7 +94,7 @@ class Control(Settings, ABC):
         """Return the choice of legal actions ``[B]``, ``[B, n]`` if continuous.
 
         ``gear`` ``[B]``, int64, is the gear before the action. ``flow`` ``[B]`` is the flow label;
-        between two whole numbers it asks for frequencies between those of their rows.
+        one between two whole numbers interpolates between the frequencies of their rows.
         """
 
     def mask(self, gear: Tensor) -> Tensor:

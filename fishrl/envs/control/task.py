@@ -22,7 +22,7 @@ class AbstractControlTask(AbstractTask, HasHistory):
     The measurement holds ``gear`` and ``frequency`` (beats per T, 0 before the first decision).
 
     Args:
-        control: what actions command; its rows are in the order of the flows.
+        control: commands of the actions; its rows are in the order of the flows.
     """
 
     control: Control = MacroActions()
@@ -91,7 +91,7 @@ class AbstractControlTask(AbstractTask, HasHistory):
         return torch.zeros_like(before["gear"])
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Return what ``control`` chooses; gear and frequency are kept for the next measurement."""
+        """Return the choice of ``control``; the next measurement keeps gear and frequency."""
         choice = self.control.choose(action, before["gear"], self.label_flow(before))
         return Command(
             turn=choice.turn,

@@ -33,7 +33,7 @@ class _Steered(Control):
     @property
     @abstractmethod
     def span(self) -> tuple[str, float, str]:
-        """Name of what steers, its largest value in an action, and the unit."""
+        """Name, largest value and unit of a turn or bend."""
 
     @property
     def rows(self) -> tuple[tuple[float, ...], ...]:
@@ -111,9 +111,9 @@ class Turn(_Steered):
 
 
 class Bend(_Steered):
-    """Bend the body, so that only the water turns the fish; actions are as those of ``Turn``.
+    """Bend the body, so that only the water turns the fish; actions are as in ``Turn``.
 
-    The bend is that of ``motion.Bending``, given as the deflection of the tail. The defaults stay
+    The bend, see ``motion.Bending``, is given as the deflection of the tail. The defaults stay
     within what trout do: their tail-beat amplitude in a vortex street is almost three times that in
     a uniform stream, about 0.1 L (Akanyeti & Liao 2013, J. Exp. Biol. 216, 3442), and they turn
     within radii down to 0.18 L (Webb 1983, J. Exp. Biol. 102, 115); a bend of 0.3 L has a radius of

@@ -31,12 +31,12 @@ class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
 
     Positions are (x, y) of the follower's centre of mass behind the rear end of the leader, in body
     lengths. Actions, each T / 2: the bend, the frequency and, with an ``amplitude_range``, the
-    amplitude. It observes ``senses``.
+    amplitude. An episode terminates when the follower leaves its range, touches the leader or comes
+    near an edge.
 
-    The reward is the efficiency of the interval, useful work / (useful work + work of the muscles),
-    as in Verma, Novati & Koumoutsakos 2018. They count thrust times speed as useful; we count
-    ``cost_alone`` for each body length through the water, so that 0.5 is as efficient as alone. A
-    failure gives -10: the follower leaves its range, touches the leader or comes near an edge.
+    The reward is the efficiency of the interval as in Verma, Novati & Koumoutsakos 2018. They count
+    thrust times speed as useful work; we count ``cost_alone`` for each body length through the
+    water, so that 0.5 is as efficient as alone.
 
     Parameters follow the tasks twoFish and cylFollow of CubismUP 2D (CSE-lab, ETH Zürich).
 
@@ -213,7 +213,7 @@ class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
 
     @property
     def senses(self) -> tuple[Sense, ...]:
-        """Place, heading, what the fish feels of the water and of itself, and its actions."""
+        """Place, heading, own motion and the last two actions."""
 
         def read_wave(phase: Tensor) -> Tensor:
             return torch.stack((phase.sin(), phase.cos()), -1)
@@ -237,8 +237,7 @@ class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
         Terms:
             efficiency: E / (E + max(W, 0)), with E = ``cost_alone`` · max(s, 0), s the way through
                 the water [L] and W the work of the muscles [ρ L⁴/T²]; 0 after a failure.
-            failure: −10 if the follower leaves its range, touches the leader or comes within
-                ``wall_margin_bl`` of an edge, 0 otherwise.
+            failure: −10 if the episode terminates, 0 otherwise.
         """
         swum = self._measure_way(now) - self._measure_way(before)
         useful = self.cost_alone * swum.clamp_min(0.0)

@@ -20,7 +20,7 @@ _Angle = Annotated[float, Field(ge=-90, le=90)]
 
 
 def _find_ends(value: float | tuple[float, float]) -> tuple[float, float]:
-    """Return the ends of a range; those of a number are the number."""
+    """Return the ends of a range; both ends of a number are the number."""
     return value if isinstance(value, tuple) else (value, value)
 
 
@@ -129,7 +129,7 @@ class AbstractFoodTask(AbstractTask):
         return (self.locate_food(starts, ages) / self.body_length).float()
 
     def draw_path(self, chance: Tensor) -> dict[str, Tensor]:
-        """Draw the food's direction and what has a range on its path, for ``_make_starts``.
+        """Draw the food's direction and the numbers of its path that have a range.
 
         Args:
             chance: random numbers ``[E, 1 + number of ranges]`` in [0, 1), float64.

@@ -172,7 +172,7 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
         return flow
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Return what ``control`` chooses, turned by ``steering`` if actions do not steer."""
+        """Return the command of ``control``, turned by ``steering`` if actions do not steer."""
         command = super().command(action, before)
         if command.turn is None and command.bend is None:
             return command._replace(turn=self.steering.turn(before["steering"]))
@@ -282,7 +282,7 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
         }
 
     def add_to_scene(self, scene: Scene) -> Scene:
-        """Add the safe area, the nose's place in it, the flow label and what the fish feels."""
+        """Add the safe area, the nose's place in it, the flow label and the lateral line."""
         area = self.safe_area
         x_bl = (area.near_bl, area.far_bl)
         place = (

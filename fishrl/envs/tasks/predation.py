@@ -28,7 +28,7 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
     several times per T.
 
     Args:
-        control: what actions command.
+        control: commands of the actions.
         start_x_bl: range of the initial nose position, in body lengths. Fish start on whole nodes
             and face -x; the range is clipped to keep them clear of the walls.
         start_y_bl: the same along y.
@@ -168,7 +168,7 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
         return steps.amin(1) if self.num_fish > 1 else steps
 
     def measure_fish(self, body: BodyState) -> dict[str, Tensor]:
-        """Return a fish's heading, tail beats and what it observes of itself, ``[B, ...]``."""
+        """Return a fish's heading, tail beats and own motion, ``[B, ...]``."""
         own = measure_own_motion(body, self.scales.period)["own_motion"]
         heading = body.heading + body.internal_angle if self.bends else body.heading.clone()
         own = own if self.bends else own[:, :0]
@@ -219,11 +219,7 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
 class Predation(AbstractPredation):
     """Catch food that rests at first and then moves up and down between two limits.
 
-    Actions are as in ``AbstractPredation``. Observation: x and y of the food relative to the
-    nose and its distance, in body lengths, and the bearing error in (-pi, pi] radians, positive to
-    the left. Reward: +1 if distance or bearing error decreased since the last decision, otherwise
-    -1, with continuous actions times the number of tail beats; +20 on capture. An episode
-    terminates on capture or when a marker comes within ``wall_margin_bl`` of the edge.
+    An episode terminates on capture or when a marker comes within ``wall_margin_bl`` of the edge.
 
     The paper (Task 1) gives neither the food's x and limits nor the capture radius.
     """

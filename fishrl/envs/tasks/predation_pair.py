@@ -18,12 +18,9 @@ from fishrl.physics.placement import MIN_GAP
 class PredationPair(AbstractPredation):
     """Catch the same food as another fish, and keep clear of that fish.
 
-    Food, walls and the actions of each fish are as in ``Predation``. Each fish observes the nose
-    of the other fish and then the food, both as there: x and y relative to its own nose, distance
-    and bearing error. Its reward is as in ``Predation``, with +20 for the fish that catches the
-    food, and minus ``contact_penalty`` for both on contact. An episode ends for both fish when one
-    of them catches the food or comes too near a wall, and on contact: when markers of the two are
-    nearer than ``contact_bl``, so that they never overlap.
+    Food, walls and the actions of each fish are as in ``Predation``. An episode ends for both fish
+    when one of them catches the food or comes too near a wall, and on contact: when markers of the
+    two are nearer than ``contact_bl``, so that they never overlap.
 
     Fish 0 starts in the lower half of the range of starts, fish 1 in the upper half. The range is
     narrower along y than in ``Predation``, where a fish may start next to a wall and hit it
@@ -31,7 +28,7 @@ class PredationPair(AbstractPredation):
 
     Args:
         contact_bl: distance of the outlines that counts as contact, in body lengths.
-        contact_penalty: what contact costs each fish.
+        contact_penalty: penalty of contact for each fish.
         start_gap_bl: smallest distance of the two noses along y at the start.
     """
 
@@ -66,7 +63,7 @@ class PredationPair(AbstractPredation):
 
     @property
     def senses(self) -> tuple[Sense, ...]:
-        """The nose of the other fish, and what the fish of ``Predation`` observes."""
+        """The nose of the other fish, and the senses of ``Predation``."""
         other = Sense("place of the other fish", TARGET, lambda now: now["other"])
         return other, *super().senses
 
@@ -91,7 +88,7 @@ class PredationPair(AbstractPredation):
         return self._make_starts(low + torch.floor(places * (high - low + 1.0)), uniform[:, 4:])
 
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
-        """Measure what each fish observes, its distance from the walls, and the gap of the two."""
+        """Measure senses and distance from the walls of each fish, and the gap of the two."""
         outlines = [solver.markers(index) for index in range(self.num_fish)]
         every = [self.measure_fish(body) for body in solver.bodies[: self.num_fish]]
         noses = [outline[:, 0] for outline in outlines]
