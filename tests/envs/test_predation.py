@@ -184,7 +184,8 @@ BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "outside": ({"start_x_bl": (9.9, 9.9)}, r"does not fit; widen"),
     "turn": ({"control": Turn(turn_degrees=120.0)}, r"turns the fish by 120° .* allowed is"),
-    "former": ({"turn_degrees": 10.0}, r"turn_degrees.*control.turn_degrees"),
+    "former": ({"turn_degrees": 10.0}, r"turn_degrees: give control.turn_degrees"),
+    "older": ({"coupling": "implicit"}, r"coupling: give skin="),
     "tau": ({"reynolds": 1e6}, r"tau = 0.50.* outside the validated range.*raise body_length"),
 }
 

@@ -10,9 +10,10 @@ from gymnasium.wrappers import RecordVideo
 from pettingzoo.test import parallel_api_test
 
 from fishrl.envs import Flows, Predation, PredationPair, make_env
+from fishrl.envs.control import Turn
 from fishrl.wrappers.gymnasium import TASKS, FlowVectorEnv
 from fishrl.wrappers.pettingzoo import FlowParallelEnv
-from tests.envs.conftest import SMALL
+from tests.envs.conftest import CONTINUOUS, SMALL
 
 SETTINGS = {**SMALL, "time_limit": 3, "flows": Flows(compile=False)}
 
@@ -54,9 +55,9 @@ def test_record_video_writes_film(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("kinematic")
-@pytest.mark.parametrize("action", ["discrete", "continuous"])
-def test_several_fish_pass_pettingzoo_test(action: str) -> None:
-    task = PredationPair(**SMALL, time_limit=3, action=action)
+@pytest.mark.parametrize("control", [Turn(), CONTINUOUS], ids=["discrete", "continuous"])
+def test_several_fish_pass_pettingzoo_test(control: Turn) -> None:
+    task = PredationPair(**SMALL, time_limit=3, control=control)
     env = FlowParallelEnv(make_env(task=task, flows=Flows(num_envs=1, compile=False)))
     parallel_api_test(env, num_cycles=10)
     env.reset(seed=1)

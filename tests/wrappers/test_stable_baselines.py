@@ -10,8 +10,9 @@ from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env import VecMonitor
 
 from fishrl.envs import Flows, Predation, make_env
+from fishrl.envs.control import Turn
 from fishrl.wrappers.stable_baselines import FlowVecEnv
-from tests.envs.conftest import SMALL
+from tests.envs.conftest import CONTINUOUS, SMALL
 from tests.envs.small_tasks import MaskedTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -60,9 +61,9 @@ def test_attributes_and_methods_are_per_row() -> None:
 
 
 @pytest.mark.learning
-@pytest.mark.parametrize(("kind", "action"), [(DQN, "discrete"), (PPO, "continuous")])
-def test_algorithms_without_masks_learn(kind: type, action: str) -> None:
-    envs = make(Predation(**SMALL, time_limit=3, action=action), num_envs=4)
+@pytest.mark.parametrize(("kind", "control"), [(DQN, Turn()), (PPO, CONTINUOUS)])
+def test_algorithms_without_masks_learn(kind: type, control: Turn) -> None:
+    envs = make(Predation(**SMALL, time_limit=3, control=control), num_envs=4)
     short = {"n_steps": 16, "batch_size": 16} if kind is PPO else {"learning_starts": 16}
     model = kind("MlpPolicy", VecMonitor(envs), seed=0, device="cpu", **short)
     before = [p.detach().clone() for p in model.policy.parameters()]

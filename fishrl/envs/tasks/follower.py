@@ -1,5 +1,6 @@
 """Follower: swim behind a fish with as little work as possible."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from math import inf, pi
@@ -17,7 +18,7 @@ from fishrl.envs.scene import Scene
 from fishrl.envs.sensors import compute_clearance, compute_gap, wrap_angle
 from fishrl.envs.starts import check_fit, place_fish, place_outline
 from fishrl.envs.streams import AbstractStreamTask, Stream
-from fishrl.envs.task import Sense
+from fishrl.envs.task import AbstractTask, Sense
 from fishrl.physics.bodies.motion import Driven
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig, Sponge
@@ -60,10 +61,11 @@ class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
     """
 
     num_draws: ClassVar[int] = 4
-    former: ClassVar[dict[str, str]] = {
-        "turn_degrees": "control.bend_bl",
-        "frequency_range": "control.beat.frequency_range",
-        "amplitude_range": "control.beat.amplitude_range",
+    former: ClassVar[Mapping[str, str]] = {
+        **AbstractTask.former,
+        "turn_degrees": "give control.bend_bl",
+        "frequency_range": "give control.beat.frequency_range",
+        "amplitude_range": "give control.beat.amplitude_range",
     }
 
     body_length: int = 32

@@ -1,5 +1,6 @@
 """Predation, the paper's first task: catch moving food without touching a wall."""
 
+from collections.abc import Mapping
 from functools import cached_property
 from math import ceil, floor, pi
 from typing import ClassVar
@@ -14,7 +15,7 @@ from fishrl.envs.extensions import HasScene
 from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.senses import OWN_SENSES, measure_own_motion
 from fishrl.envs.sensors import TARGET, compute_clearance, sense_target
-from fishrl.envs.task import Sense
+from fishrl.envs.task import AbstractTask, Sense
 from fishrl.envs.tasks.food import AbstractFoodTask
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.fast.solver import InPlaceSolver
@@ -38,11 +39,12 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
     """
 
     success: ClassVar[str] = "captured"
-    former: ClassVar[dict[str, str]] = {
-        "action": "control.beat=continuous-frequency",
-        "bends": "control=bend",
-        "turn_degrees": "control.turn_degrees",
-        "frequency_range": "control.beat.frequency_range",
+    former: ClassVar[Mapping[str, str]] = {
+        **AbstractTask.former,
+        "action": "give control.beat=continuous-frequency",
+        "bends": "give control=bend",
+        "turn_degrees": "give control.turn_degrees",
+        "frequency_range": "give control.beat.frequency_range",
     }
 
     control: Control = Turn()
