@@ -1,4 +1,4 @@
-"""The mask-aware loss compared with TorchRL's, whose known defects each have a test."""
+"""The mask-aware loss compared with TorchRL's and with its definition."""
 
 import math
 import runpy
@@ -115,8 +115,6 @@ def test_target_bootstraps_truncated_but_not_terminated_states() -> None:
         assert is_truncated.any()
         reward = data["next", "reward"].squeeze(-1)
         assert not torch.isclose(target, reward)[is_truncated].any()
-        skipping = make_parent(skip_done_states=True)._compute_target(data)
-        assert torch.equal(skipping[is_truncated], reward[is_truncated])  # the parent's defect
 
 
 def alpha_after(loss: DiscreteSACLoss, data: TensorDict, *, num_steps: int) -> tuple[float, float]:
@@ -161,8 +159,6 @@ def test_row_without_legal_actions_has_no_policy_gradient() -> None:
     for name in gradients:
         if "actor" in name:
             assert torch.allclose(gradients[name], rest[name] * 63 / 64, atol=1e-6), name
-    broken, _ = backward(make_parent(neg_inf=-math.inf), data)
-    assert not broken["loss_actor"].isfinite()
 
 
 def test_initial_weights_of_critics_are_kept() -> None:
@@ -170,11 +166,6 @@ def test_initial_weights_of_critics_are_kept() -> None:
     given = [next(iter(critic.parameters())) for critic in critics()]
     kept = next(p for n, p in loss.named_parameters() if "qvalue" in n and "weight" in n)
     assert torch.equal(kept, torch.stack([weight.data for weight in given]))
-    single = DiscreteSACLoss(
-        actor_with(-1e9), critics()[0], action_space="categorical", num_actions=NUM_ACTIONS
-    )
-    resampled = next(p for n, p in single.named_parameters() if "qvalue" in n and "weight" in n)
-    assert not torch.equal(resampled[0], given[0])
     with pytest.raises(ValueError, match="a list of at least two critics"):
         MaskedDiscreteSACLoss(actor_with(-1e9), critics()[0], num_actions=NUM_ACTIONS)  # type: ignore[arg-type]
 
