@@ -5,4 +5,4 @@
 loop, algorithms and evaluation. ``fishrl.viewer``: scenes, recordings and live views in rerun.
 """
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
