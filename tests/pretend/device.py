@@ -1,9 +1,8 @@
 """A device ``cuda:0`` on host memory, for a torch that was built without CUDA.
 
-Import this module before torch and call ``install()`` before torchrl is imported. It compiles and
-loads ``device.cpp`` (about 20 s, once per version of torch; needs g++) and answers what
-``torch.cuda`` is asked. ``sitecustomize.py`` does so in every Python process whose environment has
-``PRETEND_CUDA=1`` and this folder on ``PYTHONPATH``: see ``make test-gpu``.
+Import this module before torch and call ``install()`` before torchrl is imported, as
+``sitecustomize.py`` does in every Python process whose environment has ``PRETEND_CUDA=1`` and this
+folder on ``PYTHONPATH``: see ``make test-gpu``. It needs g++.
 
 What it shows: tensors of two devices that meet in one operator, memory that is read before it is
 written (fresh memory is NaN), a host that waits for the device (``Waits`` counts them by line), and
@@ -83,7 +82,7 @@ def _answer(value: Any) -> Any:
 
 
 class Stream:
-    """The one stream: whatever is launched is done at once."""
+    """The one stream, on which all is done at once; and a moment on it."""
 
     device_index, device_type, stream_id, cuda_stream = 0, 1, 0, 0
     device = torch.device("cuda", 0)
@@ -91,17 +90,13 @@ class Stream:
     query, elapsed_time = _answer(True), _answer(1.0)
 
     def __init__(self, *args: Any, **kwargs: Any) -> None: ...
-    def record_event(self, event: Any = None) -> Event:
-        return event or Event()
+    def record_event(self, event: Any = None) -> Stream:
+        return event or Stream()
 
     def __enter__(self) -> Stream:
         return self
 
     def __exit__(self, *_: object) -> None: ...
-
-
-class Event(Stream):
-    """A moment on it."""
 
 
 _WAITING = {"_local_scalar_dense", "nonzero", "masked_select", "_unique2", "unique_dim",
@@ -119,71 +114,60 @@ def find_wait(func: Any, args: Any, kwargs: Any) -> str | None:
     """Return why a CUDA device would make the host wait for this operator, or None."""
     name = func._schema.name.removeprefix("aten::")
     leaves = [t for t in pytree.tree_leaves((args, kwargs)) if isinstance(t, Tensor)]
-    if name == "_to_copy":
-        goes_to = torch.device(kwargs.get("device") or leaves[0].device).type
-        if goes_to != leaves[0].device.type and not kwargs.get("non_blocking", False):
-            return "copy to the host" if goes_to == "cpu" else "copy from the host"
-    if name == "copy_" and args[0].device.type != args[1].device.type:
-        is_async = (len(args) > 2 and args[2]) or kwargs.get("non_blocking", False)
-        if not is_async:
-            return "copy to the host" if args[0].device.type == "cpu" else "copy from the host"
+    if name in ("_to_copy", "copy_"):
+        to = kwargs.get("device") or leaves[0].device
+        kinds = torch.device(to).type, leaves[-1].device.type
+        is_async = args[2:3] == (True,) or kwargs.get("non_blocking", False)
+        if kinds[0] != kinds[1] and not is_async:
+            return "copy to the host" if kinds[0] == "cpu" else "copy from the host"
     if not any(map(_is_gpu, leaves)):
         return None
     if name in _WAITING:
         return name
-    if name in _INDEXING:
-        for t in args[1]:
-            if isinstance(t, Tensor) and t.dtype in (torch.bool, torch.uint8):
-                return f"{name} with a mask"
-            if isinstance(t, Tensor) and t.device.type == "cpu":
-                return f"{name} with indices on the host"
+    for t in args[1] if name in _INDEXING else ():
+        if isinstance(t, Tensor) and t.dtype in (torch.bool, torch.uint8):
+            return f"{name} with a mask"
+        if isinstance(t, Tensor) and t.device.type == "cpu":
+            return f"{name} with indices on the host"
     return None
 
 
-def launches(func: Any, leaves: list[Any]) -> bool:
+def _launches(func: Any, leaves: list[Any]) -> bool:
     """Return whether an operator launches something on the device, and is no view."""
-    is_view = any(
-        value.alias_info and not value.alias_info.is_write for value in func._schema.returns
-    )
+    is_view = any(each.alias_info and not each.alias_info.is_write for each in func._schema.returns)
     name = func._schema.name.removeprefix("aten::")
     is_free = is_view or name in _FREE or name.removeprefix("new_").startswith("empty")
     return not is_free and any(map(_is_gpu, leaves))
 
 
 class Waits(TorchDispatchMode):
-    """Count what makes the host wait, by the innermost line of ``within``, and all launches."""
+    """Count what makes the host wait, by the innermost line of fishrl, and all launches."""
 
-    def __init__(self, within: str = "fishrl") -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.within, self.lines, self.launches = within, collections.Counter(), 0
+        self.lines, self.launches = collections.Counter(), 0
 
     @property
     def total(self) -> int:
         return sum(self.lines.values())
 
-    def note(self, why: str) -> None:
-        """Count one."""
-        for frame in reversed(traceback.extract_stack()):
-            if f"{os.sep}{self.within}{os.sep}" in frame.filename:
-                file = frame.filename.split(f"{os.sep}{self.within}{os.sep}")[-1]
-                self.lines[f"{file}:{frame.lineno} {why}"] += 1
-                return
-        self.lines[f"elsewhere {why}"] += 1
-
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         if why := find_wait(func, args, kwargs or {}):
-            self.note(why)
+            frames = [
+                f for f in traceback.extract_stack() if f"{os.sep}fishrl{os.sep}" in f.filename
+            ]
+            place = f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "elsewhere"
+            self.lines[f"{place} {why}"] += 1
         result = func(*args, **(kwargs or {}))
-        self.launches += launches(func, pytree.tree_leaves((args, kwargs, result)))
+        self.launches += _launches(func, pytree.tree_leaves((args, kwargs, result)))
         return result
 
 
 capturing: CUDAGraph | None = None
 
 
-def whole(t: Tensor) -> Tensor:
-    """Return all bytes of a tensor's storage."""
-    return torch.empty(0, dtype=torch.uint8, device=t.device).set_(t.untyped_storage())
+def _view_bytes(storage: Any) -> Tensor:
+    return torch.empty(0, dtype=torch.uint8, device=storage.device).set_(storage)
 
 
 class CUDAGraph:
@@ -196,13 +180,12 @@ class CUDAGraph:
     def save(self, t: Tensor) -> None:
         """Remember what a storage held before it was first written."""
         if t.data_ptr() and _is_gpu(t):
-            memory = whole(t)
+            memory = _view_bytes(t.untyped_storage())
             if memory.data_ptr() not in self.saved:
                 self.saved[memory.data_ptr()] = (memory, memory.clone())
 
     @torch.no_grad()
     def replay(self) -> None:
-        """Do it again, at the same addresses."""
         for func, args, kwargs, old in self.calls:
             new = func(*args, **kwargs)
             for place, value in zip(pytree.tree_leaves(old), pytree.tree_leaves(new), strict=True):
@@ -233,14 +216,13 @@ class _Capture(TorchDispatchMode):
         kwargs = kwargs or {}
         if why := find_wait(func, args, kwargs):
             raise RuntimeError(f"operation not permitted when stream is capturing: {func} ({why})")
-        for argument, value in zip(func._schema.arguments, args, strict=False):
-            if argument.alias_info is not None and argument.alias_info.is_write:
-                for t in pytree.tree_leaves(value):
+        given = zip((each.name for each in func._schema.arguments), args, strict=False)
+        values = dict(given) | kwargs
+        for argument in func._schema.arguments:
+            if argument.is_out or (argument.alias_info and argument.alias_info.is_write):
+                for t in pytree.tree_leaves(values.get(argument.name)):
                     if isinstance(t, Tensor):
                         self.into.save(t)
-        for argument in func._schema.arguments:
-            if argument.is_out and isinstance(kwargs.get(argument.name), Tensor):
-                self.into.save(kwargs[argument.name])
         result = func(*args, **kwargs)
         is_ours = any(map(_is_gpu, pytree.tree_leaves((args, kwargs, result))))
         # operators of our own launch kernels, which are recorded by themselves
@@ -251,11 +233,7 @@ class _Capture(TorchDispatchMode):
 
 
 class graph:  # as torch.cuda.graph
-    """``with torch.cuda.graph(g):``."""
-
-    def __init__(
-        self, cuda_graph: CUDAGraph, pool: Any = None, stream: Any = None, **_: Any
-    ) -> None:
+    def __init__(self, cuda_graph: CUDAGraph, *_: Any, **__: Any) -> None:
         self.graph, self.mode = cuda_graph, _Capture(cuda_graph)
 
     def __enter__(self) -> None:
@@ -272,10 +250,6 @@ class graph:  # as torch.cuda.graph
             memory.copy_(before)
         torch.set_rng_state(self.random)
         self.graph.saved.clear()
-
-
-def _is_capturing(*_: Any) -> bool:
-    return capturing is not None
 
 
 #: What torch's C++ side and ``torch.cuda`` answer to every question.
@@ -307,10 +281,11 @@ def install() -> None:
         setattr(torch._C, f"_cuda_{name}", _answer(value))
     for name, value in _ANSWERS.items():
         setattr(cuda, name, _answer(value))
-    torch._C._cuda_isCurrentStreamCapturing = cuda.is_current_stream_capturing = _is_capturing
+    cuda.is_current_stream_capturing = lambda *_: capturing is not None
+    torch._C._cuda_isCurrentStreamCapturing = cuda.is_current_stream_capturing
     cuda.current_stream = cuda.default_stream = lambda *_: Stream()
     cuda.stream = lambda stream: stream or Stream()
-    cuda.Stream, cuda.Event = Stream, Event
+    cuda.Stream = cuda.Event = Stream
     cuda.CUDAGraph = cuda.graphs.CUDAGraph = CUDAGraph
     cuda.graph = cuda.graphs.graph = graph
     GENERATORS = (torch.Generator(device="cuda"),)
@@ -330,8 +305,7 @@ def _replace_storages() -> None:
     clone, move = base.clone, base.to
 
     def on_gpu(storage: Any) -> Any:
-        raw = torch.empty(0, dtype=torch.uint8, device=storage.device).set_(storage)
-        return raw.to("cuda", copy=True).untyped_storage()
+        return _view_bytes(storage).to("cuda", copy=True).untyped_storage()
 
     def clone_storage(self: Any) -> Any:
         return on_gpu(self) if self.device.type == "cuda" else clone(self)
@@ -347,20 +321,14 @@ def _replace_storages() -> None:
 def _add_lstm() -> None:
     """nn.LSTM without cuDNN calls a kernel that a CPU does not have."""
 
-    def cell(
-        gates: Tensor, hidden: Tensor, c: Tensor, bias_i: Any = None, bias_h: Any = None
-    ) -> Any:
-        total = gates + hidden
-        for bias in (bias_i, bias_h):
-            total = total if bias is None else total + bias
+    def cell(gates: Tensor, hidden: Tensor, c: Tensor, *biases: Any) -> Any:
+        total = sum((bias for bias in biases if bias is not None), gates + hidden)
         i, f, g, o = total.chunk(4, -1)
         c = f.sigmoid() * c + i.sigmoid() * g.tanh()
         return o.sigmoid() * c.tanh(), c, total
 
-    library = torch.library.Library("aten", "IMPL")
-    library.impl("_thnn_fused_lstm_cell", cell, "AutogradCUDA")
-    library.impl("_thnn_fused_lstm_cell", cell, "CUDA")
-    _LIBRARIES.append(library)
+    for key in ("AutogradCUDA", "CUDA"):
+        _LIBRARY.impl("_thnn_fused_lstm_cell", cell, key)
 
 
-_LIBRARIES: list[Any] = []
+_LIBRARY = torch.library.Library("aten", "IMPL")
