@@ -14,7 +14,7 @@ from math import floor
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import AfterValidator, PositiveFloat, PositiveInt
+from pydantic import PositiveFloat, PositiveInt
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -22,7 +22,7 @@ from fishrl import __version__
 from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.extras import show_install
 from fishrl.programs.export_policy import read_revision
-from fishrl.programs.program import program
+from fishrl.programs.program import ending_in, program
 from fishrl.programs.stored_task import read_task
 from fishrl.settings import describe
 from fishrl.training import evaluate
@@ -35,13 +35,6 @@ from fishrl.viewer.fields import WRITERS, make_dataset, read_fields
 
 if TYPE_CHECKING:
     import xarray as xr
-
-
-def check_ending(save: str) -> str:
-    """Return a path if its ending is that of a format; else raise ValueError."""
-    if Path(save).suffix not in WRITERS:
-        raise ValueError(f"a file that ends in one of {', '.join(WRITERS)}")
-    return save
 
 
 def simulate(
@@ -109,7 +102,7 @@ def simulate(
 )
 def main(
     *,
-    save: Annotated[str, AfterValidator(check_ending)],
+    save: Annotated[str, ending_in(*WRITERS)],
     periods: PositiveFloat | None = 5.0,
     frames_per_T: PositiveInt = 8,
     preset: str | None = None,

@@ -33,6 +33,7 @@ from types import FrameType
 from typing import Any, NoReturn, TypeVar
 
 import yaml
+from pydantic import AfterValidator
 from tqdm import tqdm
 
 from fishrl.programs.configuration import CommandLine, split_options
@@ -153,6 +154,17 @@ def program(
 def _takes_object(function: Callable[..., None]) -> bool:
     first = next(iter(inspect.signature(function).parameters.values()))
     return first.kind is first.POSITIONAL_OR_KEYWORD
+
+
+def ending_in(*endings: str) -> AfterValidator:
+    """Return the check of a setting that names a file with one of some endings."""
+
+    def check(path: str) -> str:
+        if not path.endswith(endings):
+            raise ValueError(f"a file that ends in one of {', '.join(endings)}")
+        return path
+
+    return AfterValidator(check)
 
 
 def take(kind: type[S], given: dict[str, Any]) -> S:

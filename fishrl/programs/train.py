@@ -21,12 +21,12 @@ from fishrl.programs.statistics import find_share
 from fishrl.programs.sweeps.jobs import sweep
 from fishrl.programs.sweeps.runs import show_modules, show_resume
 from fishrl.programs.train_settings import TRAINING, TrainConfig
-from fishrl.training.callback import SILENT, Callback
+from fishrl.training.callback import Callback
 from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.evaluation import FINAL_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, exit_status
 from fishrl.training.loop import Training
-from fishrl.training.opening import Opened, open_run
+from fishrl.training.opening import open_run
 from fishrl.training.progress import Progress
 from fishrl.training.runs import complete
 
@@ -56,11 +56,6 @@ class RunCallback(LiveView):
             baselines={name: summary[f"{name}_success_rate"] for name in summary["baselines"]},
             on_episodes=self.progress.on_progress,
         )
-
-
-def set_up(opened: Opened, config: TrainConfig, progress: Callback = SILENT) -> Training:
-    """Return the training of a run that was opened with these settings."""
-    return Training(opened, callbacks=[progress, RunCallback(config, progress)])
 
 
 def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> None:
@@ -98,7 +93,7 @@ def main(settings: TrainConfig) -> None:
         print(f"{settings.path}: already finished; total_frames=... extends it")
         return
     with Progress() as progress:
-        training = set_up(opened, settings, progress)
+        training = Training(opened, callbacks=[progress, RunCallback(settings, progress)])
         folder = training.folder.path
         hint = f"resume with: {show_resume(folder, settings.modules)}"
         try:

@@ -9,13 +9,13 @@ from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from fishrl.envs.episodes import count_decisions
 from fishrl.envs.scene import Frame
-from fishrl.programs.program import program, take
+from fishrl.programs.program import ending_in, program, take
 from fishrl.programs.stored_task import read_task
 from fishrl.training import evaluate
 from fishrl.training.callback import Callback
@@ -130,7 +130,7 @@ def main(
     policy: str | None = None,
     episodes: PositiveInt = 1,
     periods: PositiveFloat | None = 20.0,
-    save: str | None = None,
+    save: Annotated[str, ending_in(".rrd", *FILMS)] | None = None,
     screenshot: str | None = None,
     time: NonNegativeFloat | None = None,
     preset: str | None = None,
@@ -152,7 +152,20 @@ def main(
     """
     view = take(ViewerSettings, given)
     opens = not (view.live or save or screenshot)
-    _check(recording, policy, save, screenshot, view, episodes)
+    if (recording is None) == (policy is None):
+        raise ValueError("give either the path of a .rrd file or policy=<run folder or name>")
+    if recording is not None and (save or view.live):
+        raise ValueError("save and live: a recording is only opened; give policy=<run folder>")
+    num_shown = len(view.choose_flows(episodes, default=episodes))
+    if (
+        save is not None
+        and save.endswith(tuple(FILMS))
+        and (num_shown > 1 or screenshot or view.live)
+    ):
+        raise ValueError(
+            f"save = {save}: a film is of one flow, without screenshot and live: give episodes=1, "
+            "or the flow to be filmed, shown_flows=[0]"
+        )
     with ExitStack() as stack:
         folder = stack.enter_context(TemporaryDirectory(prefix="fishrl-"))
         path = Path(recording or save or f"{folder}/view.rrd")
@@ -183,32 +196,3 @@ def main(
             print(f"written: {screenshot}")
         elif opens:
             open_recording(path)
-
-
-def _check(
-    recording: str | None,
-    policy: str | None,
-    save: str | None,
-    screenshot: str | None,
-    view: ViewerSettings,
-    episodes: int,
-) -> None:
-    """Raise ValueError for settings that do not go together."""
-    if (recording is None) == (policy is None):
-        raise ValueError("give either the path of a .rrd file or policy=<run folder or name>")
-    if recording is not None and (save or view.live):
-        raise ValueError(
-            "save and live: are for policies; a recording is only opened. For the policy of a run "
-            "give policy=<its folder>"
-        )
-    ending = None if save is None else Path(save).suffix
-    if ending not in (None, ".rrd", *FILMS):
-        raise ValueError(f"save = {save}: must end in one of {', '.join(('.rrd', *FILMS))}")
-    num_shown = len(view.choose_flows(episodes, default=episodes))
-    if ending in FILMS and num_shown > 1:
-        raise ValueError(
-            f"save = {save}: a film is of one flow, not {num_shown}: give episodes=1, or the flow "
-            "to be filmed, shown_flows=[0]"
-        )
-    if ending in FILMS and (screenshot or view.live):
-        raise ValueError(f"save = {save}: screenshot and live do not go with a film")

@@ -18,9 +18,11 @@ from fishrl.envs import KarmanGait, Oracle
 from fishrl.envs.control import DirectFrequencies
 from fishrl.envs.steering import PolicySteering, save_weights
 from fishrl.modules import LateralLineClassifier
-from fishrl.programs.train import set_up
+from fishrl.programs.train import RunCallback
 from fishrl.programs.train_settings import TRAINING
 from fishrl.training import Classifier, complete, open_run
+from fishrl.training.callback import SILENT
+from fishrl.training.loop import Training
 from fishrl.training.policies import load_policy
 from tests.envs.conftest import move_kinematically
 from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
@@ -50,7 +52,7 @@ def make_classifier(path: Path, task: KarmanGait | None = None) -> Classifier:
 def run(folder: Path, *overrides: str, **settings: object) -> dict[str, Any]:
     config = TRAINING.read([*SETTINGS, f"folder={folder}", *overrides])
     config = replace(config, **settings)
-    return complete(set_up(open_run(config), config))
+    return complete(Training(open_run(config), callbacks=[RunCallback(config, SILENT)]))
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +107,7 @@ def test_run_with_classifier_resumes_exactly(trained: Path, tmp_path: Path) -> N
     config = replace(
         config, recognition=Classifier(path=str(tmp_path / "moved")), resume=str(tmp_path / "moved")
     )
-    resumed = complete(set_up(open_run(config), config))
+    resumed = complete(Training(open_run(config), callbacks=[RunCallback(config, SILENT)]))
     # the shorter run was evaluated at its end too, and the best of all evaluations is what counts
     whole = json.loads((trained / "classifier" / "summary.json").read_text())
     assert resumed["updates"] == whole["updates"] > 0
