@@ -21,8 +21,8 @@ c_i leads from a node x outside into the body, -i is the opposite direction, q i
 link that lies outside, and u_w is the velocity of the skin where the link crosses it (Bouzidi,
 Firdaouss & Lallemand 2001, eqs. 5 and 11)::
 
-    f_-i(x, t+1) = 2 q f'_i(x) + (1 - 2 q) f'_i(x - c_i) - 6 w_i c_i . u_w          q < 1/2
-    f_-i(x, t+1) = (f'_i(x) + (2 q - 1) f'_-i(x) - 6 w_i c_i . u_w) / (2 q)         q >= 1/2
+    f_-i(x, t+1) = 2 q f'_i(x) + (1 - 2 q) f'_i(x - c_i) - 6 w_i rho c_i . u_w      q < 1/2
+    f_-i(x, t+1) = (f'_i(x) + (2 q - 1) f'_-i(x) - 6 w_i rho c_i . u_w) / (2 q)     q >= 1/2
     F_i = c_i (f'_i + f_-i) - u_w (f'_i - f_-i)            force on the body at the link
     m_b dU/dt = sum F_i,  I_b dOmega/dt = sum r_i x F_i    rigid motion of a free body
 
@@ -31,7 +31,9 @@ U the velocity there, Omega the rate of turning, m_b and I_b the body's mass and
 With the u_w of the last factor as it was, F_i is linear in U and Omega, so those that the flow
 determines follow from at most three equations per body, with the added mass on their left side:
 stable for a body as light as water. A node that the skin has left takes the skin's velocity, and
-density and stresses of the next node outside.
+density and stresses of the next node outside. No water is lost: what reflection, covered and
+uncovered nodes add to sum rho - 1 outside leaves evenly along the skin, a tenth in each step, and
+the body feels the momentum of water that slipped past as its node was covered.
 
 **The paper's skin, ``ImmersedBoundary()``** (``skins/immersed_boundary.py``; Li, Zhang et al. 2023,
 arXiv 2301.10085, with its equation numbers), is a force. ds is the distance of markers along the

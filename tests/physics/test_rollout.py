@@ -129,13 +129,14 @@ def test_gradients_equal_central_differences(
         result = (motion(values, skin, num_steps) * ALIKE).sum()
     (got,) = torch.autograd.grad(result, values)[0]
     # a sharp skin has kinks where a node comes to lie half a link away: stay between them
-    largest = 2e-7 if skin is SHARP and num_steps > 20 else 3e-6
+    is_long = skin is SHARP and num_steps > 20
+    largest, tolerance = (4e-8, 5e-5) if is_long else (3e-6, 1e-5)
     shift = torch.diag((1e-5 * values[0].detach().abs()).clamp(max=largest))
     with torch.no_grad():
         there = (motion(values + torch.cat((shift, -shift)), skin, num_steps) * ALIKE).sum(1)
     rise = (there[: len(at)] - there[len(at) :]) / (2.0 * shift.diagonal())
     assert rise.abs().min() > 1e-6
-    assert ((got - rise) / rise).abs().max() < 1e-5
+    assert ((got - rise) / rise).abs().max() < tolerance
 
 
 def test_segments_change_memory_and_not_the_gradient() -> None:

@@ -38,6 +38,10 @@ class BodyState(NamedTuple):
     force: Tensor
     hydro_force: Tensor  #: ``[B, 2]`` force of the fluid outside on the body in the last step
     hydro_torque: Tensor  #: torque of the fluid outside on the body in the last step
+    surplus: Tensor  #: mass that a sharp skin has given to the water and not yet taken back
+    #: ``[B, 3]`` momentum along x and y and angular momentum of water that a sharp skin has covered
+    #: while it slipped past, not yet felt by the body
+    slip_impulse: Tensor
     impulse: Tensor  #: ``[B, 2]`` sum of ``hydro_force`` over all steps
 
 
@@ -50,6 +54,7 @@ def make_body(position: Tensor, heading: Tensor, frequency: Tensor) -> BodyState
     zero, pair = torch.zeros_like(heading), torch.zeros_like(position)
     pairs = {"velocity", "load", "force", "hydro_force", "impulse"}
     rest = {name: pair if name in pairs else zero for name in BodyState._fields}
+    rest["slip_impulse"] = torch.stack((zero, zero, zero), -1)
     ones = ("amplitude", "amplitude_goal", "turn_steps", "turn_clock")
     given = {"position": position, "heading": heading, "frequency": frequency}
     return BodyState(**rest | given | dict.fromkeys(ones, torch.ones_like(zero)))

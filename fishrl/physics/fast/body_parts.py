@@ -20,8 +20,8 @@ from fishrl.physics.skins.bounce_back import (
     BounceBack,
     Contact,
     find_contacts,
+    pass_nodes_,
     reflect_,
-    uncover_,
 )
 from fishrl.physics.skins.immersed_boundary import (
     BodyGeometry,
@@ -102,7 +102,10 @@ def _make_bounce_back(
         copy_tree(bodies[1], reflect_(kinds, *bodies, before, grid.list_slots()))
 
     def uncover(grid: Grid, bodies: Bodies, before: Contacts, after: Contacts) -> None:
-        uncover_(kinds, bodies[1], before, after, grid.list_slots())
+        passed = pass_nodes_(kinds, bodies[1], before, after, grid.list_slots(), grid.size)
+        for body, state in zip(bodies[1], passed, strict=True):
+            body.surplus.copy_(state.surplus)
+            body.slip_impulse.copy_(state.slip_impulse)
 
     # stacked arrays are written at once: each of their parts would be a tensor made in every call
     settings = BODY_SETTINGS | {"cpu": BODY_SETTINGS["cpu"] | {"force_pointwise_cat": True}}

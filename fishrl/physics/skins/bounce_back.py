@@ -20,12 +20,17 @@ from fishrl.physics.skins.links import (
     MAX_SPACING,
     Links,
     find_links,
+    find_passed,
     to_links,
     to_markers,
 )
 from fishrl.physics.skins.skin import Body, Skin
 from fishrl.physics.skins.slots import Slots, copy_slots
 from fishrl.physics.surface import eliminate, prescribe_surface
+
+#: Part of a body's ``surplus`` and ``slip_impulse`` that is given back in a step: fast enough to
+#: keep the pressure, slow enough that single nodes do not shake the body.
+RETURN_RATE = 0.1
 
 
 class BounceBack(Skin):
@@ -53,7 +58,7 @@ class BounceBack(Skin):
         before = find_contacts(bodies, params, states, (width, height))
         states = reflect_(bodies, params, states, before, slots)
         after = find_contacts(bodies, params, states, (width, height), before)
-        uncover_(bodies, states, before, after, slots)
+        states = pass_nodes_(bodies, states, before, after, slots, (width, height))
         return slots.get_nodes(water.f[0]), states
 
     def fit(self, body: Body) -> Body:
@@ -130,8 +135,14 @@ def _reflect_one_(
     far = (arriving + (twice - 1.0) * leaving) * inverse
     near = twice * arriving + (1.0 - twice) * behind
     arriving, still = is_cut * arriving, is_cut * torch.where(twice < 1.0, near, far)
-    six_w = (links.q < 5).to(dtype) * (6.0 * (W[1] - W[5])) + 6.0 * W[5]
-    gain = is_cut * six_w * inverse  # what returns less per velocity of the skin along the link
+    six_w = is_cut * ((links.q < 5).to(dtype) * (6.0 * (W[1] - W[5])) + 6.0 * W[5])
+    q = torch.arange(Q, device=six_w.device)[:, None, None]
+    rho = 1.0 + slots.read(links.x[:, None], links.y[:, None], q).sum(1)
+    gain = six_w * rho * inverse  # what returns less per velocity of the skin along the link
+    # the surplus leaves evenly along the skin
+    leak = RETURN_RATE * state.surplus.to(dtype) / six_w.sum((1, 2)).clamp_min(1e-6)
+    still = still - leak[:, None, None] * six_w
+    felt = RETURN_RATE * state.slip_impulse
 
     def reflect(ux: Tensor, uy: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return what comes back from a skin of velocity ``[B, 4, N]``, and the force on it."""
@@ -154,7 +165,8 @@ def _reflect_one_(
                 if u is not None
             ]
             along.append(sum(c * to_links(u, links) for c, _, u in units))
-            drive.append(sum((f * u).sum(-1).double() for _, f, u in units) + free.push)
+            push = free.push + felt[:, free.axis]
+            drive.append(sum((f * u).sum(-1).double() for _, f, u in units) + push)
         matrix = [
             [(gain * a * b).sum((1, 2)).double() + (free.inertia if a is b else 0.0) for b in along]
             for a, free in zip(along, surface.freedoms, strict=True)
@@ -174,17 +186,24 @@ def _reflect_one_(
     update = report_body(state, outline, rates, force=(fx, fy), slip=None)
     # totals count the water inside, too: as if it filled the body and moved with it
     momentum, spin_up = measure_gain(params, state, outline.deformation, update)
-    update = update._replace(force=update.force + momentum, torque=update.torque + spin_up)
-    return move_body(body, params, state, outline.deformation, update)
+    update = update._replace(
+        force=update.force + momentum - felt[:, :2], torque=update.torque + spin_up - felt[:, 2]
+    )
+    moved = move_body(body, params, state, outline.deformation, update)
+    return moved._replace(
+        surplus=state.surplus + (returning - arriving).sum((1, 2)).double(),
+        slip_impulse=state.slip_impulse - felt,
+    )
 
 
-def uncover_(
+def pass_nodes_(
     bodies: Sequence[BodyConfig],
     states: Sequence[BodyState],
     before: Sequence[Contact],
     after: Sequence[Contact],
     slots: Slots,
-) -> None:
+    size: tuple[int, int],
+) -> tuple[BodyState, ...]:
     """Fill the nodes that the bodies have left in the step just made, in place.
 
     Args:
@@ -193,44 +212,48 @@ def uncover_(
         before: where the skins were.
         after: where they are.
         slots: outgoing populations of the step; those that arrive at the uncovered nodes are set.
+        size: width and height of the grid in nodes.
+
+    Returns:
+        The bodies: mass of the nodes that changed sides is in their surplus, momentum with which
+        covered ones slipped past in their slip impulse.
     """
-    for body, state, former, contact in zip(bodies, states, before, after, strict=True):
-        if not body.is_still:
-            _uncover_one_(state, former.outline.markers.position, contact, slots)
+    each = zip(bodies, states, before, after, strict=True)
+    return tuple(
+        state if body.is_still else _pass_nodes_of_one_(state, former, contact, slots, size)
+        for body, state, former, contact in each
+    )
 
 
-def _uncover_one_(state: BodyState, before: Tensor, contact: Contact, slots: Slots) -> None:
-    """Fill the nodes that one body has left; ``before`` ``[B, N, 2]`` is where its markers were.
-
-    A node that the skin has just passed has one of the links along x and y.
-    """
-    markers, links = contact.outline.markers, contact.links.along_axes()
-    tangent = (before.roll(-1, 1) - before)[:, None]
-    from_before = torch.stack((links.x, links.y), -1) - before[:, None]
-    depth = from_before[..., 0] * tangent[..., 1] - from_before[..., 1] * tangent[..., 0]
-    is_new = links.is_cut & (depth > 0.0)  # it was inside
+def _pass_nodes_of_one_(
+    state: BodyState, before: Contact, after: Contact, slots: Slots, size: tuple[int, int]
+) -> BodyState:
+    markers = after.outline.markers
+    passed = find_passed(before.outline.markers.position, markers.position, *size)
+    # populations ``[B, Q, N]`` that arrive at a covered node, and at the next one outside
+    cx, cy, w = (part[:, None] for part in slots.lattice.unbind(1))
+    x, y = passed.x[:, None] - cx.long(), passed.y[:, None] - cy.long()
+    q = torch.arange(Q, device=cx.device)[:, None]
+    f = slots.read(x + passed.cx[:, None], y + passed.cy[:, None], q)
+    drho = f.sum(1, keepdim=True)
+    # the skin's velocity in place of the next node's
     spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1)
     rigid = state.velocity[:, None] + state.angular_velocity[:, None, None] * spin
     skin = rigid + markers.deformation_velocity
-    # from here on [B, Q, 2, N]: the next node outside, and the skin's velocity in place of its own
-    cx, cy, w = (part[:, None, None] for part in slots.lattice.unbind(1))
-    own_x, own_y = cx.long(), cy.long()
-    q = torch.arange(Q, device=cx.device)[:, None, None]
-    x, y = links.x[:, None], links.y[:, None]
-    f = slots.read(x - links.cx[:, None] - own_x, y - links.cy[:, None] - own_y, q)
-    cx, cy, w = cx.to(f), cy.to(f), w.to(f)
-    rho = 1.0 + f.sum(1, keepdim=True)
+    skin = skin + passed.at[..., None] * (torch.cat((skin[:, 1:], skin[:, :1]), 1) - skin)
+    cx, cy, w, rho = cx.to(f), cy.to(f), w.to(f), 1.0 + drho
     speed = (f * cx).sum(1, keepdim=True) / rho, (f * cy).sum(1, keepdim=True) / rho
-    ux, uy = (to_links(part, links).to(f)[:, None] for part in skin.unbind(-1))
+    ux, uy = (part.to(f)[:, None] for part in skin.unbind(-1))
     change = _expand(cx, cy, ux, uy) - _expand(cx, cy, *speed)
-    # a link after the other: in one write, a node with several would have several values, of which
-    # one is kept and all get its gradient
-    for k, side in ((0, 1), (0, -1), (1, 1), (1, -1)):
-        is_here = is_new[:, k] & ((links.cx + links.cy)[:, k] == side)
-        to_x, to_y, values = (
-            part[..., k, :] for part in (x - own_x, y - own_y, f + w * rho * change)
-        )
-        slots.write_(to_x, to_y, q[..., 0], values, is_here[:, None])
+    slots.write_(x, y, q, f + w * rho * change, passed.turns[:, None] < 0)
+    covered = rho[:, 0] * passed.turns.clamp(min=0)
+    px, py = (covered * (fluid - own)[:, 0] for fluid, own in zip(speed, (ux, uy), strict=True))
+    rx, ry = passed.x - state.position[:, :1], passed.y - state.position[:, 1:]
+    slip = torch.stack([part.sum(-1).double() for part in (px, py, rx * py - ry * px)], -1)
+    return state._replace(
+        surplus=state.surplus - (passed.turns * drho[:, 0]).sum(-1).double(),
+        slip_impulse=state.slip_impulse + slip,
+    )
 
 
 def _expand(cx: Tensor, cy: Tensor, ux: Tensor, uy: Tensor) -> Tensor:

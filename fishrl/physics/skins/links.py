@@ -33,10 +33,6 @@ class Links(NamedTuple):
     fraction: Tensor  #: part of the link outside the body, 0 to 1
     at: Tensor  #: place of the crossing on the segment, 0 to 1
 
-    def along_axes(self) -> "Links":
-        """Return the links along x and y, ``[B, 2, N]``."""
-        return Links(*(part[:, :2] for part in self))
-
 
 def find_links(outline: Tensor, width: int, height: int) -> Links:
     """Return the links that a clockwise closed polygon ``[B, N, 2]`` cuts, in nodes.
@@ -70,6 +66,50 @@ def find_links(outline: Tensor, width: int, height: int) -> Links:
         back=torch.stack([torch.where(side, own[0], own[1]) for side, own, _ in sides], 1),
         fraction=(node - place).abs(),
         at=at,
+    )
+
+
+class Passed(NamedTuple):
+    """The node that each segment of an outline may have passed in a step, ``[B, N]``."""
+
+    x: Tensor  #: int64
+    y: Tensor  #: int64
+    turns: Tensor  #: int32, 1 where the segment has covered the node, -1 where it uncovered it
+    cx: Tensor  #: int64, from an uncovered node to the next one outside; zero elsewhere
+    cy: Tensor  #: int64, the same along y
+    at: Tensor  #: place of the segment next to the node, 0 to 1
+
+
+def find_passed(before: Tensor, now: Tensor, width: int, height: int) -> Passed:
+    """Return the nodes that a clockwise closed polygon ``[B, N, 2]`` has passed between two places.
+
+    A segment sweeps the quadrilateral between its two places, smaller than the distance of two
+    nodes. How often it winds around a node, summed over all segments, is the change of how often
+    the polygon does: each node that changes sides is found once.
+    """
+    ends = [torch.cat((outline[:, 1:], outline[:, :1]), 1) for outline in (before, now)]
+    corners = [corner.unbind(-1) for corner in (before, *ends, now)]
+    sides = list(zip(corners, (*corners[1:], corners[0]), strict=True))
+    x, y = (
+        (0.25 * sum(parts[1:], parts[0])).round().nan_to_num(0.0).clamp(2.0, size - 3.0)
+        for parts, size in zip(zip(*corners, strict=True), (width, height), strict=True)
+    )
+    turns = torch.zeros_like(x, dtype=torch.int32)
+    for (xa, ya), (xb, yb) in sides:
+        left = (xb - xa) * (y - ya) - (x - xa) * (yb - ya)
+        turns = turns + ((ya <= y) & (y < yb) & (left > 0.0)).int()
+        turns = turns - ((yb <= y) & (y < ya) & (left < 0.0)).int()
+    (xb, yb), (xa, ya) = corners[2:]
+    along_x, along_y = xb - xa, yb - ya
+    square = (along_x * along_x + along_y * along_y).clamp_min(1e-12)
+    is_steep, is_new = along_y.abs() >= along_x.abs(), turns < 0
+    return Passed(
+        x=x.long(),
+        y=y.long(),
+        turns=turns,
+        cx=torch.where(is_new & is_steep, -along_y.sign(), 0.0).long(),
+        cy=torch.where(is_new & ~is_steep, along_x.sign(), 0.0).long(),
+        at=(((x - xa) * along_x + (y - ya) * along_y) / square).clamp(0.0, 1.0),
     )
 
 
