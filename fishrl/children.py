@@ -22,7 +22,7 @@ def start_child(code: str, *arguments: str, **options: Any) -> subprocess.Popen[
     The kernel closes that pipe when this process ends, so that even SIGKILL leaves nothing behind.
     Processes forked from this one do not keep it open; the child also watches this process itself.
     The child finds modules where this process does.
-    ``options`` are those of ``subprocess.Popen``.
+    ``options`` are passed to ``subprocess.Popen``.
 
     Raises:
         ValueError: on a system without process groups.

@@ -6,7 +6,7 @@ from packaging.requirements import Requirement
 
 
 def show_install(extra: str) -> str:
-    """Return the command that installs the packages of an extra, whichever way fishrl came.
+    """Return the command that installs the packages of an extra, for a clone and a wheel alike.
 
     Args:
         extra: as in ``[project.optional-dependencies]`` of ``pyproject.toml``.

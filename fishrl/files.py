@@ -34,14 +34,8 @@ def load_tensors(path: str | Path, *, what: str, remedy: str, device: str = "cpu
 
     The checksums in the file, CRC-32 of each part, are compared; ``torch.load`` does not.
 
-    Args:
-        path: path of the file.
-        what: contents that the file should have, for messages.
-        remedy: advice for a file that is missing or damaged.
-        device: device of the tensors.
-
     Raises:
-        ValueError: in one line, for a missing or damaged file.
+        ValueError: for a missing or damaged file, naming ``what`` it should hold and the remedy.
     """
     import torch  # heavy, and not needed to write
 

@@ -1,4 +1,4 @@
-"""What a container or a job may use of this machine: limits of its control groups."""
+"""Limits that control groups set for a container or a job."""
 
 import os
 import time
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from math import ceil, inf
 from pathlib import Path
 
-#: Where Linux shows control groups, and lists those of this process.
+#: Control groups under Linux, and the list of this process's.
 ROOT, OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 
 

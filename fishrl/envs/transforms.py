@@ -70,7 +70,7 @@ class FlowLabelTransform(Transform):
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Add the new entries and lengthen the observation if it includes the probabilities."""
-        assert isinstance(observation_spec, Composite)  # what an environment has
+        assert isinstance(observation_spec, Composite)  # of every environment
         spec = observation_spec.clone()
         old, batch = spec["observation"], spec.shape
         if self.is_observed:

@@ -3,7 +3,7 @@
 A checkpoint is a folder that TorchRL's ``Checkpoint`` writes, ``manifest.json`` with metadata and
 one ``state.pt`` per component, and ``SHA256SUMS`` of all these files (``sha256sum -c`` reads it).
 Loading runs no code from it: each state is read from that one file, see ``load_tensors``, after its
-checksum and that of the manifest were compared.
+checksum and the manifest's were compared.
 """
 
 import hashlib
@@ -103,7 +103,7 @@ def save_checkpoint(
         free = f"{shutil.disk_usage(path.parent).free / 1e6:.1f} MB are free"
         raise CheckpointNotWritten(
             f"checkpoint {path}: cannot be written ({getattr(error, 'strerror', None) or free}); "
-            "the one before is unchanged: free space, or change the permissions of the folder"
+            "the previous one is unchanged: free space, or change the permissions of the folder"
         ) from error
 
 
@@ -120,7 +120,7 @@ class Checkpoint:
     """A checkpoint on the disk, as its manifest describes it."""
 
     path: Path  #: its folder
-    manifest: _Manifest  #: what it holds
+    manifest: _Manifest  #: its components and metadata
 
     @classmethod
     def find(cls, path: str | Path, *, which: str = "best") -> Self:
@@ -233,7 +233,7 @@ def _clear(path: Path) -> None:
 
 
 def _list_complete(path: Path) -> list[Path]:
-    """List what can be read in place of a checkpoint, the checkpoint itself first.
+    """List complete checkpoints of a name: itself, then those that replace it.
 
     The others matter after a kill between two renames, or if the newest checkpoint was deleted.
     """

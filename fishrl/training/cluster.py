@@ -48,7 +48,7 @@ class ClusterCollector:
         explorer: the policy that collects.
         settings: numbers of processes, of flows and of warm-up frames of all of them together.
         seed: seed of the first collector.
-        device: device of the explorer. With ``cuda`` each collector has a GPU of its own.
+        device: device of the explorer. With ``cuda`` each collector has its own GPU.
 
     Raises:
         ValueError: if the cluster has fewer CPUs, or GPUs, than there are collectors.
@@ -141,7 +141,7 @@ class ClusterCollector:
             return {**state, "collectors": self._flows.state_dict()}
 
     def load_state_dict(self, state_dict: Any) -> None:
-        """Restore what ``state_dict`` returned into as many collectors."""
+        """Restore a state of ``state_dict`` into as many collectors."""
         self._frames = state_dict["frames"]
         self._explorer.load_state_dict(state_dict["explorer"])
         self._flows.load_state_dict([OrderedDict(state) for state in state_dict["collectors"]])

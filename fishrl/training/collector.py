@@ -1,4 +1,4 @@
-"""The collector of a run: in this process, or in those of a cluster."""
+"""The collector of a run: in this process, or in processes of a cluster."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -35,7 +35,7 @@ class ResumableCollector(Collector):
         return state
 
     def load_state_dict(self, state_dict: Any, **kwargs: Any) -> None:
-        """Restore what ``state_dict`` returned into a collector of an equal env."""
+        """Restore a state of ``state_dict`` into a collector of an equal env."""
         state = dict(state_dict)
         base_env, carrier = state.pop("base_env"), state.pop("carrier")
         super().load_state_dict(OrderedDict(state), **kwargs)
@@ -71,7 +71,7 @@ class RemoteCollector(ResumableCollector):
         return OrderedDict(super().state_dict(), rng=torch.get_rng_state(), gpu_rng=of_gpus)
 
     def load_state_dict(self, state_dict: Any, **kwargs: Any) -> None:
-        """Restore what ``state_dict`` returned."""
+        """Restore a state of ``state_dict``."""
         state = dict(state_dict)
         torch.set_rng_state(state.pop("rng").cpu())  # a checkpoint is read onto the run's device
         of_gpus = state.pop("gpu_rng", [])[: torch.cuda.device_count()]
@@ -80,7 +80,7 @@ class RemoteCollector(ResumableCollector):
 
 
 def make_collector(opened: Opened, learner: Learner, *, seed: int) -> Any:
-    """Make the collector of a run, in this process or in those of a cluster.
+    """Make the collector of a run, in this process or in processes of a cluster.
 
     The learner's explorer acts, for each fish if there are several.
     """

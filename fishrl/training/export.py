@@ -1,4 +1,4 @@
-"""Write the policy of a run into a small folder of its own, with a model card."""
+"""Write the policy of a run into a small folder with a model card."""
 
 import math
 from collections.abc import Mapping
@@ -35,7 +35,7 @@ def export_policy(
     title: str | None = None,
     revision: str | None = None,
 ) -> Path:
-    """Write the best policy of a run, without what only its training needs.
+    """Write the best policy of a run, without optimiser and replay buffer.
 
     The folder is a checkpoint: ``load_policy``, ``evaluate`` and the programs take it. It holds the
     weights with their SHA-256, the settings, the run's classifier if it has one, ``metrics.csv``
@@ -83,7 +83,7 @@ def export_policy(
 
 
 def _shorten(cell: str) -> str:
-    """Write a number of the learning curve to seven digits, those of single precision."""
+    """Write a number of the learning curve to seven digits, single precision."""
     return f"{float(cell):.7g}" if "." in cell else cell
 
 
@@ -92,10 +92,9 @@ def _write_card(
 ) -> str:
     """Return the model card of a policy that was saved after ``frames``, as Markdown."""
     header = {"library_name": "fishrl", "license": "mit", "tags": ["reinforcement-learning"]}
-    task = type(plan.task).__name__
     labels = "none" if plan.recognition is None else type(plan.recognition).__name__.lower()
     about = {
-        "task": task,
+        "task": type(plan.task).__name__,
         "algorithm": type(plan.algorithm).__name__,
         "seed": plan.seed,
         "env frames": f"{frames:,} of {plan.total_frames:,}",
@@ -108,18 +107,26 @@ def _write_card(
         (label, [_show(summary.get(prefix + key)) for prefix in prefixes])
         for key, label in _RESULTS.items()
     ]
-    lines = ["---", yaml.safe_dump(header, sort_keys=False).rstrip(), "---"]
-    lines += [f"# {title}", ""]
-    lines += [f"- {name}: {value}" for name, value in about.items()]
-    lines += ["", "Final evaluation from fixed starts that were not used to choose it:", ""]
-    lines += [write_table(["", *names], [[label, *values] for label, values in results])]
-    lines += ["`metrics.csv` holds the learning curve. Settings:", "", "```yaml"]
-    config = plan.to_config()
+    bullets = "\n".join(f"- {name}: {value}" for name, value in about.items())
+    table = write_table(["", *names], [[label, *values] for label, values in results])
     # a setting a line: none ends the block of code
-    text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True, width=math.inf)
-    lines += [text.rstrip(), "```", ""]
-    lines += ["`fishrl.training.load_policy(<this folder>)` loads the policy.", ""]
-    return "\n".join(lines)
+    settings = yaml.safe_dump(plan.to_config(), sort_keys=False, allow_unicode=True, width=math.inf)
+    return f"""---
+{yaml.safe_dump(header, sort_keys=False)}---
+# {title}
+
+{bullets}
+
+Final evaluation from fixed starts that were not used to choose it:
+
+{table}
+`metrics.csv` holds the learning curve. Settings:
+
+```yaml
+{settings}```
+
+`fishrl.training.load_policy(<this folder>)` loads the policy.
+"""
 
 
 def _show(value: Any) -> str:

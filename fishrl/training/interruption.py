@@ -11,12 +11,9 @@ from types import FrameType
 
 logger = logging.getLogger(__name__)
 
-#: Those of a terminal, and of schedulers before a time limit; Windows lacks some.
-SIGNALS = tuple(
-    number
-    for number in signal.Signals
-    if number.name in {"SIGINT", "SIGHUP", "SIGTERM", "SIGUSR1", "SIGUSR2"}
-)
+#: Sent by a terminal, or by a scheduler before a time limit; Windows lacks some.
+_NAMES = ("SIGINT", "SIGHUP", "SIGTERM", "SIGUSR1", "SIGUSR2")
+SIGNALS = tuple(signal.Signals[name] for name in _NAMES if hasattr(signal, name))
 #: Within which the same signal counts as one: a scheduler and the sweep that it ends both send it.
 TWICE_SECONDS = 1.0
 
@@ -30,7 +27,7 @@ class Interrupted(Exception):
 
 
 def list_heeded() -> list[signal.Signals]:
-    """Return those of ``SIGNALS`` that this process does not ignore, as it may with ``nohup``."""
+    """Return the ``SIGNALS`` that this process does not ignore, as it may with ``nohup``."""
     return [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
 
 
@@ -40,7 +37,7 @@ def exit_status(end: KeyboardInterrupt) -> int:
 
 
 def leave_closed_terminal() -> None:
-    """Discard what is printed from now on if the terminal is closed: it would be an error."""
+    """Discard later output if the terminal is closed, where printing would raise an error."""
     for stream in (1, 2):
         try:
             os.write(stream, b"")

@@ -104,7 +104,7 @@ class Learner(ABC):
         self._step = Traced(self._take_step) if self._is_traced else self._take_step
 
     def components(self) -> dict[str, Any]:
-        """Return by name what a checkpoint holds of the learner."""
+        """Return the components of a checkpoint by name."""
         names = ("actor", "loss", "optimiser", "buffer")
         return {name: getattr(self, name) for name in names}
 
@@ -174,7 +174,7 @@ class OnPolicyLearner(Learner):
         return {"decisions": [decision.clone().to_dict() for decision in self._decisions]}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
+        """Restore a state of ``state_dict``."""
         self._decisions = [TensorDict.from_dict(d, batch_dims=1) for d in state["decisions"]]
 
     def components(self) -> dict[str, Any]:

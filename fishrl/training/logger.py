@@ -31,7 +31,7 @@ def read_rows(path: Path) -> list[dict[str, str]]:
 
 
 class CsvLogger:
-    """One row per log step, one column per metric; what a step did not measure is left empty.
+    """One row per log step, one column per metric; unmeasured metrics are left empty.
 
     Rows that cannot be written, as when the disk is full, are kept for the next time.
     """

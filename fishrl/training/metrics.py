@@ -62,7 +62,7 @@ class Counters:
         return {**vars(self), "recent": list(self.recent), "pending": dict(self.pending)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
+        """Restore a state of ``state_dict``."""
         vars(self).update(state, recent=deque(state["recent"], maxlen=WINDOW))
 
     def count(self, transitions: TensorDictBase, *, success: str | None) -> None:

@@ -20,7 +20,7 @@ from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, read_config, read_summary, write_yaml
 
-#: Settings that are those of the run's folder, whatever is given when it continues.
+#: Settings that a run keeps when it continues, regardless of the settings given.
 _OWN = ("recognition", "logger", "folder", "name")
 
 
@@ -31,8 +31,8 @@ class Opened:
     Opening it changes nothing: the folder of a new run is made by ``enter``.
     """
 
-    plan: Plan  #: its settings, with those that follow from the algorithm's own
-    folder: RunFolder  #: its folder; that of a new run may get another name
+    plan: Plan  #: its settings, adapted to the algorithm
+    folder: RunFolder  #: its folder; a new one may get another name
     stored: dict[str, Any] = field(default_factory=dict)  #: ``config.yaml`` as read; {} if new
     checkpoint: Checkpoint | None = None  #: from which it continues
     summary: dict[str, Any] | None = None  #: its result if it is finished
@@ -115,12 +115,12 @@ class Opened:
 
 
 def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
-    """Open a run: the one of these settings, or the one in a folder.
+    """Open the run of these settings, or the run in a folder.
 
     If the folder of the settings holds a run, it keeps its folder, name, logger and classifier.
 
     Args:
-        run: settings, or the folder of a run with its own settings.
+        run: settings, or the folder of a run.
         **changes: new values of ``RunSettings``, such as ``total_frames=8000``.
 
     Raises:
@@ -168,7 +168,7 @@ def _check_cluster(plan: Plan) -> None:
     if device not in ("cpu", "cuda") or plan.learner_device is not None:
         raise ValueError(
             f"flows.device = {device}, learner_device = {plan.learner_device}: with ray_collectors "
-            "flows.device must be cpu, or cuda, where each collector has a GPU of its own, and "
+            "flows.device must be cpu, or cuda, where each collector has its own GPU, and "
             "learner_device null"
         )
     if find_spec("ray") is None:

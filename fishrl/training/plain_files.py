@@ -20,15 +20,10 @@ class Stored(BaseModel):
 
 
 def read_plain(path: Path, kind: Any, *, what: str) -> Any:
-    """Read a ``.yaml`` or ``.json`` file and check its type.
-
-    Args:
-        path: path of the file.
-        kind: ``Tree``, a subclass of ``Stored``, or a mapping of words to these.
-        what: contents that the file should have, for messages.
+    """Read a ``.yaml`` or ``.json`` file of a type: ``Tree``, ``Stored``, or a mapping to these.
 
     Raises:
-        ValueError: in one line, for bytes that cannot be parsed and for other types.
+        ValueError: for bytes that cannot be parsed and for other types, naming ``what``.
         OSError: if the file cannot be read.
     """
     try:

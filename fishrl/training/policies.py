@@ -127,9 +127,9 @@ def evaluate(
     Args:
         policy: run folder or checkpoint of a learned policy, a path with a slash, or
             ``zoo/<name>``; name of a baseline of the task; or a policy that writes ``action``.
-        task: the task; by default that of the checkpoint.
-        recognition: source of flow labels, see ``make_env``; by default that of the checkpoint's
-            run, and None for other policies.
+        task: the task; by default the checkpoint's.
+        recognition: source of flow labels, see ``make_env``; by default the one of the
+            checkpoint's run, and None for other policies.
         episodes: number of starts.
         flows: flows that advance together, at most one per episode, and how they are computed; the
             policy is on their device.

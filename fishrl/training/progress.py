@@ -67,7 +67,7 @@ class Progress(Callback):
             self._bar.set_description_str(f"{phase:<12}", refresh=self._is_terminal)
         if total is not None:
             self._bar.set_postfix_str("", refresh=False)
-            self._bar.initial = done  # what was done before says nothing about the speed now
+            self._bar.initial = done  # earlier frames do not count for the speed
             self._bar.reset(total=total)
             self._bar.n = done
             self._bar.refresh()

@@ -1,4 +1,4 @@
-"""Settings of a training: what determines its result, and where and how often it reports."""
+"""Settings of a training: for learning, and for running and reporting."""
 
 from typing import Annotated
 
@@ -58,7 +58,7 @@ class RunSettings(Settings):
 
     Args:
         total_frames: env frames to train for; one decision in one flow is a frame.
-        learner_device: device of networks and replay buffer; by default that of the flows.
+        learner_device: device of networks and replay buffer; by default the flows' device.
         folder: folder of all run folders.
         name: name of the run folder; by default made from task, preset, algorithm and seed.
         log_frames: frames between rows of the metrics.
@@ -68,7 +68,7 @@ class RunSettings(Settings):
         eval_episodes: number of fixed starts of these evaluations, which select the best
             checkpoint.
         final_episodes: number of fixed starts of the final evaluation, different from those.
-        baselines: policies evaluated from the same final starts; by default those of the task, see
+        baselines: policies evaluated from the same final starts; by default the task's, see
             ``fishrl.training.baselines``.
     """
 

@@ -30,8 +30,8 @@ class Traced:
 
     These are the same operations in the same order, backward passes included, on the entries of the
     batch and on the other tensors that ``function`` reads or changes, such as parameters. All else
-    that changes from call to call must therefore be an entry of the batch. What would be computed
-    twice, such as the values of the same critics in two losses, is computed once.
+    that changes from call to call must therefore be an entry of the batch. Repeated
+    computations, such as the values of the same critics in two losses, are merged.
 
     On a GPU they are launched as one CUDA graph.
 
@@ -49,7 +49,7 @@ class Traced:
         self._form: list[object] = []
 
     def __call__(self, batch: TensorDictBase) -> Sequence[Tensor]:
-        """Return what the function returns."""
+        """Return the function's result."""
         names, tensors = zip(*batch.items(True, True), strict=True)
         form = [names, *(tensor.shape for tensor in tensors)]
         if form != self._form:

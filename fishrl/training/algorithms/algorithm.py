@@ -60,7 +60,7 @@ class Algorithm(Settings, ABC):
             )
 
     def adapt(self, settings: LearningSettings) -> dict[str, Any]:
-        """Return those of the common settings that follow from this algorithm's own."""
+        """Return common settings that follow from the settings of this algorithm."""
         return {}
 
     @abstractmethod

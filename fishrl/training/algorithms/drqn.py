@@ -42,7 +42,7 @@ class DRQN(DQN):
         return RecurrentPolicy(make_recurrent_value_actor(**sizes, generator=generator))
 
     def adapt(self, settings: LearningSettings) -> dict[str, Any]:
-        """Check that a batch is a whole number of sequences, and that there is a layer to recur."""
+        """Check that a batch is a whole number of sequences, and that there is a hidden layer."""
         if settings.batch_size % self.sequence_length:
             raise ValueError(
                 f"batch_size = {settings.batch_size}: must be a multiple of "
