@@ -1,7 +1,6 @@
 """Limits that control groups set for a container or a job."""
 
 import os
-import time
 from collections.abc import Iterator
 from math import ceil, inf
 from pathlib import Path
@@ -20,20 +19,6 @@ def count_cores() -> int:
     ]
     quotas = [int(quota) / int(period) for quota, period in shares if quota.isdigit()]
     return min(cores, *(max(1, ceil(quota)) for quota in quotas)) if quotas else cores
-
-
-def count_running() -> int:
-    """Return how many threads of the machine run or wait for a core, the least within 0.1 s.
-
-    1, this one, where the system does not say.
-    """
-    path, counts = Path("/proc/loadavg"), [1]  # Linux; its averages lag by a minute
-    if path.is_file():
-        counts = []
-        for _ in range(10):
-            counts.append(int(path.read_text().split()[3].split("/")[0]))
-            time.sleep(0.01)
-    return min(counts)
 
 
 def measure_machine_memory() -> float:

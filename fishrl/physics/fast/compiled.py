@@ -8,14 +8,12 @@ shapes, strides and types never change and that mutated inputs do not overlap wi
 
 import gzip
 import logging
+import pickle
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
-from enum import Enum
 from itertools import chain
 from pathlib import Path
-from types import CellType
 from typing import Any, Literal, cast
 
 import torch
@@ -35,40 +33,6 @@ logger = logging.getLogger(__name__)
 InPlaceFunction = Callable[..., Any]
 
 
-class IsBeingMadeError(Exception):
-    """Another process is at what was to be compiled."""
-
-
-def _make_twin(t: Tensor) -> Tensor:
-    """Return a tensor of the same shape and strides with storage of its own.
-
-    It starts one element into its storage: on a GPU, Inductor would clone arguments that are less
-    aligned than the example, and the views of odd steps are.
-    """
-    size = 1 + sum((n - 1) * s for n, s in zip(t.shape, t.stride(), strict=True))
-    store = torch.zeros(size + 1, dtype=t.dtype, device=t.device)
-    return store.as_strided(t.shape, t.stride(), 1).copy_(t)
-
-
-def is_own(thing: object) -> bool:
-    """Return whether ``thing`` consists of plain values, enums and dataclasses of this package.
-
-    Then its ``repr`` and the package's sources determine it completely.
-    """
-    if isinstance(thing, list | tuple):
-        return all(map(is_own, thing))
-    if thing is None or isinstance(thing, bool | int | float | str | torch.dtype):
-        return True
-    kind = thing if isinstance(thing, type) else type(thing)
-    if not kind.__module__.startswith("fishrl.physics."):
-        return False
-    if isinstance(thing, type | Enum):
-        return True
-    return is_dataclass(thing) and all(
-        is_own(getattr(thing, field.name)) for field in fields(thing)
-    )
-
-
 @without_collector()
 def compile_inplace(
     function: InPlaceFunction,
@@ -78,7 +42,7 @@ def compile_inplace(
     num_varying: int = 0,
     waits: bool = True,
     **patches: object,
-) -> InPlaceFunction:
+) -> InPlaceFunction | None:
     """Compile ``function(*tensors)``, which may mutate its arguments; itself without a compiler.
 
     Args:
@@ -90,25 +54,26 @@ def compile_inplace(
         name: key of everything that determines the function, apart from this package's sources and
             ``example``. The result is stored under it next to Inductor's cache, and other processes
             load it without tracing, or wait for it. None stores nothing.
-        waits: for another process that compiles the same.
+        waits: for another process that compiles the same; otherwise None is returned then.
         **patches: Inductor settings.
 
     Raises:
         ChildProcessError: if the compiler fails.
-        IsBeingMadeError: without ``waits``, while another process compiles or loads the same.
     """
     device = example[0].device
     if find_compiler_problem(device.type):
         return function
     with set_up_inductor(device, patches) as folder:
         if name is None:
-            return _reach_code(_compile(function, example, num_varying))
+            return _compile(function, example, num_varying)
         path = folder / f"{_make_name(name, example, num_varying)}.bin"
-        with _claim(path, waits=waits):
+        with _locked(path, waits=waits) as is_ours:
+            if not is_ours:
+                return None
             if (compiled := _load(path)) is None:
                 compiled = _compile(function, example, num_varying)
                 _save(path, compiled)
-    return _reach_code(compiled)
+            return compiled
 
 
 def is_stored(
@@ -122,18 +87,16 @@ def is_stored(
 
 
 @contextmanager
-def _claim(path: Path, *, waits: bool) -> Iterator[None]:
-    """Keep other processes from making what belongs at ``path``; wait, or fail, while one does."""
+def _locked(path: Path, *, waits: bool) -> Iterator[bool]:
+    """Keep other processes from making what belongs at ``path``; False if one does, and no wait."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock = path.with_suffix(".lock").open("a")
     except OSError:  # a folder that cannot be written: ``_save`` says so
-        yield
+        yield True
         return
     with lock:
-        if not take_lock(lock, waits=waits):
-            raise IsBeingMadeError(f"another process makes {path}")
-        yield
+        yield take_lock(lock, waits=waits)
 
 
 @without_collector()
@@ -186,6 +149,17 @@ def _compile(
     return cast("InPlaceFunction", compiled)
 
 
+def _make_twin(t: Tensor) -> Tensor:
+    """Return a tensor of the same shape and strides with storage of its own.
+
+    It starts one element into its storage: on a GPU, Inductor would clone arguments that are less
+    aligned than the example, and the views of odd steps are.
+    """
+    size = 1 + sum((n - 1) * s for n, s in zip(t.shape, t.stride(), strict=True))
+    store = torch.zeros(size + 1, dtype=t.dtype, device=t.device)
+    return store.as_strided(t.shape, t.stride(), 1).copy_(t)
+
+
 def _trace(
     function: InPlaceFunction,
     example: Sequence[Tensor],
@@ -218,24 +192,6 @@ def _make_whole(make: Callable[[], Any]) -> Any:
             CppPythonBindingsCodeCache.cache_clear()
 
 
-def _reach_code(artefact: InPlaceFunction) -> InPlaceFunction:
-    """Return the compiled code without the layers around it, which cost 5 to 10 us at each call.
-
-    They serve autograd and caches. Where no code is found in them, they stay.
-    """
-    from torch._inductor.output_code import CompiledFxGraph
-
-    layers: list[Any] = [artefact]
-    for layer in layers:  # which grow by what each of them holds
-        if isinstance(layer, CompiledFxGraph) and layer.current_callable is not None:
-            graph: Any = layer
-            return lambda *tensors: graph.current_callable(list(tensors))
-        cells = [cell for cell in getattr(layer, "__closure__", None) or () if cell != CellType()]
-        held = [*(cell.cell_contents for cell in cells), *getattr(layer, "__dict__", {}).values()]
-        layers += [h for h in held if callable(h) and all(h is not other for other in layers)]
-    return artefact
-
-
 def _make_name(name: str, example: Sequence[Tensor], num_varying: int) -> str:
     """Return a key of what code for one kind of machine depends on: source, settings, arguments."""
     settings = torch._inductor.config.save_config_portable(ignore_private_configs=False)
@@ -264,20 +220,20 @@ def _load(path: Path) -> InPlaceFunction | None:
     """Return what is kept at ``path``, if its checksum is right and it can be used, else None."""
     if not path.exists():
         return None
-    from torch._inductor.standalone_compile import AOTCompiledArtifact
-
     try:
-        return AOTCompiledArtifact.deserialize(gzip.decompress(path.read_bytes()))
+        read, content = pickle.loads(gzip.decompress(path.read_bytes()))
+        return cast("InPlaceFunction", read(content))
     except Exception as error:  # noqa: BLE001  # any damage: compile again
         logger.warning("%s cannot be used (%s): compiling again", path, error)
         return None
 
 
 def _save(path: Path, compiled: Any) -> None:
-    """Keep compiled code; readers see all of it or nothing."""
+    """Keep compiled code, and what reads it; readers see all of it or nothing."""
     try:
+        kept = pickle.dumps((type(compiled).deserialize, compiled.serialize()))
         with staged(path) as part:
-            part.write_bytes(gzip.compress(compiled.serialize(), compresslevel=1))
+            part.write_bytes(gzip.compress(kept, compresslevel=1))
     except TypeError:  # of Inductor, which made nothing that could be stored
         logger.info("Inductor's caches are off: the flow step is compiled at every start")
     except Exception as error:  # noqa: BLE001  # the code itself runs

@@ -9,10 +9,16 @@ from typing import IO
 import torch
 from torch import Tensor
 
-from fishrl.limits import count_cores, count_running
+from fishrl.limits import count_cores
 from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.fast.inductor import find_compiler_problem
-from fishrl.physics.fast.workers import Workers, can_send, map_shared, open_shared
+from fishrl.physics.fast.workers import (
+    Workers,
+    can_send,
+    compiling_aside,
+    map_shared,
+    open_shared,
+)
 from fishrl.physics.flow import FlowConfig
 from fishrl.torch_state import one_thread
 
@@ -70,7 +76,7 @@ class Execution:
         )
 
     def _allocate(self, num_bytes: int) -> Tensor:
-        if not (self.num_workers or self._is_alone):
+        if not self.num_workers:
             return torch.zeros(num_bytes, dtype=torch.uint8, device=self._device)
         self._shared = open_shared(num_bytes)
         return map_shared(self._shared.fileno(), num_bytes)
@@ -81,56 +87,40 @@ class Execution:
             return
         began = time.perf_counter()
         logger.info("compiling the flow step (up to a minute when new) ...")
-        workers = self._start_workers()
-        try:
-            if workers is not None:
-                workers.add_helpers(self._count_helpers())
-            if self._wants_compile:  # killed meanwhile, it leaves its C++ compiler for seconds
-                self._compile_own()
-            if workers is not None:
-                if self.num_workers:
-                    workers.wait()
-                workers.end_helpers()
-        except BaseException:  # as by Ctrl-C: the next time begins anew
-            if workers is not None:
-                workers.close()
-            raise
-        self.workers, self._is_ready = workers, True
-        if self._shared is not None:
-            self._shared.close()
+        if self.num_workers:
+            self.workers = self._start_workers()
+        else:
+            self._compile_here()
+        self._is_ready = True
         logger.info("flow step ready after %.1f s", time.perf_counter() - began)
 
-    def _start_workers(self) -> Workers | None:
-        """Start the workers; none, to whom helpers may be added, for a single flow."""
-        if self._shared is None:
-            return None
-        return Workers(
+    def _start_workers(self) -> Workers:
+        """Start the workers, which share out the parts of the step to compile; make the check."""
+        assert self._shared is not None
+        workers = Workers(
             self._configs,
             group_size=self.group_size,
             file=self._shared.fileno(),
             count=self.num_workers,
             compile=self._wants_compile,
         )
+        try:
+            if self._wants_compile:
+                self.batch.stepper.compile_check(self.batch.first)
+            workers.wait()
+        except BaseException:  # as by Ctrl-C: the next time begins from the start
+            workers.close()
+            raise
+        self._shared.close()
+        return workers
 
-    def _compile_own(self) -> None:
-        """Compile what this process runs itself: with workers the check alone."""
+    def _compile_here(self) -> None:
+        """Compile all parts, those of a single flow in two processes if they are new."""
         stepper, first = self.batch.stepper, self.batch.first
         with self._limit_threads():
-            if self.num_workers:
-                stepper.compile_check(first)
-            else:
+            is_shared = self._is_alone and count_cores() > 1 and stepper.is_new(first)
+            with compiling_aside(self._configs) if is_shared else nullcontext():
                 stepper.compile(first, with_check=True)
-
-    def _count_helpers(self) -> int:
-        """Return how many more processes shall compile: on an idle core, and only what is new."""
-        if not self._wants_compile:
-            return 0
-        with one_thread():  # on which code depends: as in the workers
-            with_check = not self.num_workers
-            if not self.batch.stepper.is_new(self.batch.first, with_check=with_check):
-                return 0
-        num_busy = count_running() - bool(self.num_workers)  # then this process has little to do
-        return min(max(count_cores() - num_busy, 0), 1)
 
     def _limit_threads(self) -> AbstractContextManager[None]:
         """Return a context in which flows that need one worker run here as they would there."""

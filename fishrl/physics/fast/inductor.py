@@ -4,9 +4,11 @@ import gc
 import logging
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import sysconfig
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -33,7 +35,6 @@ def without_collector() -> Iterator[None]:
 
 
 @cache
-@without_collector()
 def find_compiler_problem(device_type: str) -> str | None:
     """Return why nothing can be compiled for ``device_type``, or None; logged once."""
     problem = _find_cpp_problem() if device_type == "cpu" else None
@@ -43,19 +44,14 @@ def find_compiler_problem(device_type: str) -> str | None:
 
 
 def _find_cpp_problem() -> str | None:
-    from torch._inductor.cpp_builder import get_cpp_compiler
-    from torch._inductor.runtime.cache_dir_utils import cache_dir, default_cache_dir
-
-    try:
-        with torch._inductor.config.patch(_list_settings()):
-            compiler = get_cpp_compiler()
-    except (RuntimeError, OSError):
+    compiler = _find_compiler()
+    if compiler is None or not describe_target(compiler):
         if "CXX" in os.environ:
             return f"CXX={os.environ['CXX']!r} is no C++ compiler: name one program, or unset CXX"
         return "no C++ compiler (g++ or clang++) on the path"
     paths = {  # that Inductor puts into commands without quotes
-        "set TORCHINDUCTOR_CACHE_DIR": cache_dir(),
-        "set TMPDIR or LOGNAME": default_cache_dir(),
+        "set TORCHINDUCTOR_CACHE_DIR": str(_find_cache()),
+        "set TMPDIR": tempfile.gettempdir(),
         "set CXX": compiler,
         "install torch elsewhere": torch.__path__[0],
         "install Python elsewhere": sysconfig.get_config_var("LIBDIR") or "",
@@ -66,11 +62,33 @@ def _find_cpp_problem() -> str | None:
     return None
 
 
-def _list_settings() -> dict[str, object]:
+def _find_compiler() -> str | None:
+    """Return the path of the C++ compiler: that of ``CXX`` alone, or g++, or clang++."""
+    names = [os.environ["CXX"]] if "CXX" in os.environ else ["g++", "clang++"]
+    return next(filter(None, map(shutil.which, names)), None)
+
+
+@cache
+def describe_target(compiler: str) -> str:
+    """Return the compiler's macros: its version, and what it takes this processor for."""
+    for flags in (["-march=native"], []):  # which some compilers do not know
+        command = [compiler, *flags, "-dM", "-E", "-xc++", os.devnull]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode == 0:
+            return done.stdout
+    return ""
+
+
+def _find_cache() -> Path:
+    """Return the folder of compiled code: as the environment names it, or one for each user."""
+    own = Path(tempfile.gettempdir(), f"torchinductor_{getattr(os, 'getuid', os.getpid)()}")
+    return Path(os.environ.get("TORCHINDUCTOR_CACHE_DIR") or own).absolute()
+
+
+def _list_settings(device: torch.device) -> dict[str, object]:
     """Return Inductor's settings: fused multiply-add, no checks of shapes, which never change."""
-    compilers = torch._inductor.config.cpp.cxx  # $CXX alone, or g++
     return {
-        "cpp.cxx": compilers if "CXX" in os.environ else (*compilers, "clang++"),
+        "cpp.cxx": (_find_compiler(),),
         "cpp.enable_floating_point_contract_flag": "fast",
         "size_asserts": False,
         "alignment_asserts": False,
@@ -79,16 +97,9 @@ def _list_settings() -> dict[str, object]:
         "freezing": False,
         "max_autotune": False,
         "max_autotune_gemm": False,
+        # a search, a tenth of the compilation on a CPU; combined kernels of a GPU fail without it
+        "reorder_for_peak_memory": device.type != "cpu",
     }
-
-
-@cache
-def describe_target() -> str:
-    """Return the compiler's macros: its version, and what it takes this processor for."""
-    from torch._inductor.cpp_builder import get_cpp_compiler
-
-    command = [get_cpp_compiler(), "-march=native", "-dM", "-E", "-xc++", os.devnull]
-    return subprocess.run(command, capture_output=True, text=True, check=False).stdout
 
 
 def identify_machine(device: torch.device) -> str:
@@ -97,14 +108,12 @@ def identify_machine(device: torch.device) -> str:
     Inductor's own keys lack most of it: the width of vectors, the instructions that
     ``-march=native`` allows, and the versions of compiler and C library.
     """
-    from torch._inductor.cpu_vec_isa import pick_vec_isa
-
     target: list[object] = [torch.__config__.show(), sys.version, platform.libc_ver()]
     if device.type == "cuda":
         target += [torch.cuda.get_device_name(device), device]  # the code holds its index
     else:
-        vectors = pick_vec_isa().build_arch_flags()  # for the processor and ATEN_CPU_CAPABILITY
-        target += [torch.get_num_threads(), vectors, describe_target()]
+        vectors = os.environ.get("ATEN_CPU_CAPABILITY")
+        target += [torch.get_num_threads(), vectors, describe_target(_find_compiler() or "")]
     return make_key(target)
 
 
@@ -112,36 +121,36 @@ def identify_machine(device: torch.device) -> str:
 def set_up_inductor(device: torch.device, patches: dict[str, object]) -> Iterator[Path]:
     """Apply settings, and yield a folder for this kind of machine, in which Inductor stores."""
     from torch._inductor import cpu_vec_isa
-    from torch._inductor.runtime.cache_dir_utils import cache_dir
 
     if device.type == "cpu":  # else a warning in each process where there is nvcc but no GPU
         logging.getLogger("torch.utils.cpp_extension").setLevel(logging.ERROR)
-    # a search, a tenth of the compilation on a CPU; combined kernels of a GPU fail without it
-    search = {"reorder_for_peak_memory": device.type != "cpu"}
-    with torch._inductor.config.patch(_list_settings() | search | patches):
-        before, list_all = cache_dir(), cpu_vec_isa.valid_vec_isa_list
-        if units := _list_vector_units():
+    with torch._inductor.config.patch(_list_settings(device) | patches):
+        before, list_all = os.environ.get("TORCHINDUCTOR_CACHE_DIR"), cpu_vec_isa.valid_vec_isa_list
+        units = [
+            _without_probe(unit)
+            for unit, macro in (
+                (cpu_vec_isa.VecAVX512, "__AVX512DQ__"),
+                (cpu_vec_isa.VecAVX2, "__AVX2__"),
+            )
+            if f"{macro} " in describe_target(_find_compiler() or "")
+        ]
+        if units:
             cpu_vec_isa.valid_vec_isa_list = cache(lambda: units)
         try:
-            folder = Path(before, "fishrl", identify_machine(device))
+            folder = _find_cache() / "fishrl" / identify_machine(device)
             os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(folder)
             yield folder
         finally:
             cpu_vec_isa.valid_vec_isa_list = list_all
-            os.environ["TORCHINDUCTOR_CACHE_DIR"] = before
+            del os.environ["TORCHINDUCTOR_CACHE_DIR"]
+            if before is not None:
+                os.environ["TORCHINDUCTOR_CACHE_DIR"] = before
 
 
 @cache
-def _list_vector_units() -> list[Any]:
-    """Return the vector units for floats that the processor's flags name; none but of x86.
+def _without_probe(unit: type) -> Any:
+    """Return a vector unit for floats that is taken for there.
 
     Inductor would compile and load a program for each of those for bfloat16 and integers.
     """
-    from torch._inductor.cpu_vec_isa import VecAVX2, VecAVX512, x86_isa_checker
-
-    flags = x86_isa_checker()
-    units = [
-        type(unit.__name__, (unit,), {"__bool__": lambda _: True})()
-        for unit in (VecAVX512, VecAVX2)
-    ]
-    return [unit for unit in units if all(flag in flags for flag in str(unit).split())]
+    return type(unit.__name__, (unit,), {"__bool__": lambda _: True})()

@@ -1,23 +1,16 @@
 """Parts of the fast step, functions of tensors that they change in place, and groups of flows."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from types import FunctionType
 from typing import Any, TypeVarTuple
 
 import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.physics.bodies.outline import BodyConfig
-from fishrl.physics.fast.compiled import (
-    InPlaceFunction,
-    IsBeingMadeError,
-    compile_inplace,
-    is_own,
-    is_stored,
-)
+from fishrl.physics.fast.compiled import InPlaceFunction, compile_inplace, is_stored
 from fishrl.physics.fast.flow_memory import GroupMemory
-from fishrl.physics.flow import FlowConfig
+from fishrl.physics.fast.identity import identify
+from fishrl.physics.fast.recording import Call, record
 
 Trees = TypeVarTuple("Trees")
 
@@ -53,6 +46,7 @@ class Part:
         self._act: Callable[..., None] = act
         self._form: pytree.TreeSpec | None = None
         self._num_varying = 0
+        self._scratch: list[Tensor] = []  # memory between the kernels, shared by all groups
         self.run: InPlaceFunction = self._act_on
 
     def bind(self, memory: GroupMemory) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
@@ -65,9 +59,11 @@ class Part:
 
     @property
     def key(self) -> str | None:
-        """What determines ``run`` besides this package's sources; None if anything else does."""
-        known = _find_known(self._act)
-        return f"{self.name} {known} {self._form}" if is_own(known) else None
+        """What determines ``run`` besides this package's sources; None if that cannot be known."""
+        try:
+            return f"{self.name} {identify(self._act)} {self._form}"
+        except LookupError:
+            return None
 
     def compile(self, example: Sequence[Tensor], *, waits: bool = True) -> bool:
         """Compile ``run``, and keep the code on disk if the part has a key.
@@ -76,43 +72,30 @@ class Part:
         """
         if self._settings is None:
             return True
-        settings = self._settings.get(example[0].device.type, {})
-        try:
-            self.run = compile_inplace(
-                self._act_on,
-                example,
-                name=self.key,
-                num_varying=self._num_varying,
-                waits=waits,
-                **settings,
-            )
-        except IsBeingMadeError:
-            return False
-        return True
+        compiled = compile_inplace(
+            self._act_on, example, waits=waits, name=self.key, **self._choose_settings(example)
+        )
+        self.run = compiled or self.run
+        return compiled is not None
 
-    def is_to_be_stored(self, example: Sequence[Tensor]) -> bool:
-        """Return whether ``compile`` would put new code on the disk."""
-        if self._settings is None or self.key is None:
-            return False
-        settings = self._settings.get(example[0].device.type, {})
-        return not is_stored(example, name=self.key, num_varying=self._num_varying, **settings)
+    def is_stored(self, example: Sequence[Tensor]) -> bool:
+        """Return whether ``compile`` would put no new code on the disk."""
+        key = self.key
+        if self._settings is None or key is None:
+            return True
+        return is_stored(example, name=key, **self._choose_settings(example))
+
+    def record(self, arguments: Sequence[Tensor]) -> list[Call]:
+        """Run once, and return the calls that do the same again."""
+        return record(self.run, arguments, self._scratch)
+
+    def _choose_settings(self, example: Sequence[Tensor]) -> dict[str, Any]:
+        own = (self._settings or {}).get(example[0].device.type, {})
+        return {"num_varying": self._num_varying, **own}
 
     def _act_on(self, *leaves: Tensor) -> None:
         assert self._form is not None
         self._act(*pytree.tree_unflatten(leaves, self._form))
-
-
-def _find_known(thing: object) -> object:
-    """Return ``thing``, of this package's functions all that they close over, in any depth.
-
-    Of a flow or a body it is what those of a batch share: nothing else may shape the code.
-    """
-    if isinstance(thing, tuple):
-        return list(map(_find_known, thing))
-    if isinstance(thing, FunctionType) and thing.__module__.startswith("fishrl.physics."):
-        held = [cell.cell_contents for cell in thing.__closure__ or ()]
-        return [thing.__defaults__, thing.__kwdefaults__, *map(_find_known, held)]
-    return thing.get_structure() if isinstance(thing, FlowConfig | BodyConfig) else thing
 
 
 class FlowGroup:
@@ -121,6 +104,7 @@ class FlowGroup:
     Attributes:
         nodes: the nine incoming populations ``[B, Y, X]`` before an even step.
         arguments: arguments of each part, at even and odd steps.
+        calls: those of an even and an odd step, recorded on a CPU in the first.
         graphs: CUDA graphs by number of pairs of steps.
     """
 
@@ -128,6 +112,7 @@ class FlowGroup:
         self._cells = memory.cells(0)
         self.nodes = memory.incoming(0)
         self.arguments = {part: part.bind(memory) for part in parts}
+        self.calls: list[Call] = []
         self.graphs: dict[int, torch.cuda.CUDAGraph] = {}
 
     def write_(self, rows: Tensor, f: Tensor) -> None:

@@ -50,25 +50,25 @@ class Stepper:
         located = [self.locate] if self.locate and self.locate not in self.parts else []
         return [*self.parts, *located, *([self.check] if with_check else ())]
 
-    def compile(self, example: FlowGroup, *, with_check: bool, waits: bool = True) -> None:
+    def compile(self, example: FlowGroup, *, with_check: bool, helps: bool = False) -> None:
         """Compile all parts, for groups of the form of ``example``.
 
-        Processes share the work: what another one compiles is loaded last. Without ``waits`` this
-        one helps others alone: it leaves that, and what cannot be stored for them. Only a process
-        that reads the flows needs the check.
+        Processes share the work: what another one compiles is loaded last. One that ``helps``
+        others leaves that, and what cannot be stored for them. Only a process that reads the flows
+        needs the check.
         """
         collision, *rest = self.list_all(with_check=with_check)
         parts = [*rest, collision]  # the longest are not the last, so that processes end together
-        parts = [part for part in parts if waits or part.key is not None]
+        parts = [part for part in parts if part.key is not None or not helps]
         tensors = {part: example.arguments[part][0] for part in parts}
         left = [part for part in parts if not part.compile(tensors[part], waits=False)]
-        for part in left if waits else ():
+        for part in () if helps else left:
             part.compile(tensors[part])
 
-    def is_new(self, example: FlowGroup, *, with_check: bool) -> bool:
+    def is_new(self, example: FlowGroup) -> bool:
         """Return whether ``compile`` would put new code on the disk."""
-        parts = self.list_all(with_check=with_check)
-        return any(part.is_to_be_stored(example.arguments[part][0]) for part in parts)
+        parts = self.list_all()
+        return not all(part.is_stored(example.arguments[part][0]) for part in parts)
 
     def compile_check(self, example: FlowGroup) -> None:
         """Compile the check alone, for a process that reads flows which others advance."""
@@ -82,22 +82,34 @@ class Stepper:
     def advance_(self, group: FlowGroup, num_steps: int) -> None:
         """Advance one group by an even number of steps."""
         num_pairs = num_steps // 2
-        if self.locate is not None and num_pairs:
+        if not num_pairs:
+            return
+        if self.locate is not None:
             self.locate.run(*group.arguments[self.locate][1])  # as after an odd step
-        if self._device.type == "cuda" and num_pairs:
-            if not group.graphs:  # kernels are built in a first call, which cannot be captured
-                self._advance_pairs_(group, 1)
-                num_pairs -= 1
-            while num_pairs > 0:
-                self._replay_(group, min(num_pairs, _GRAPH_PAIRS))
-                num_pairs -= _GRAPH_PAIRS
-        else:
-            self._advance_pairs_(group, num_pairs)
+        if self._device.type == "cuda":
+            self._advance_graphs_(group, num_pairs)
+            return
+        if not group.calls:  # recorded as they run for the first time
+            steps = [[part.record(group.arguments[part][k]) for part in self.parts] for k in (0, 1)]
+            group.calls = [call for step in steps for calls in step for call in calls]
+            num_pairs -= 1
+        for _ in range(num_pairs):
+            for call in group.calls:
+                call()
+
+    def _advance_graphs_(self, group: FlowGroup, num_pairs: int) -> None:
+        if not group.graphs:  # kernels are built in a first call, which cannot be captured
+            self._advance_pairs_(group, 1)
+            num_pairs -= 1
+        while num_pairs > 0:
+            self._replay_(group, min(num_pairs, _GRAPH_PAIRS))
+            num_pairs -= _GRAPH_PAIRS
 
     def _advance_pairs_(self, group: FlowGroup, num_pairs: int) -> None:
         for _ in range(num_pairs):
-            self.step_(group, 0)
-            self.step_(group, 1)
+            for parity in (0, 1):
+                for part in self.parts:
+                    part.run(*group.arguments[part][parity])
 
     def _replay_(self, group: FlowGroup, num_pairs: int) -> None:
         """Advance by pairs of steps that are launched as one CUDA graph, recorded once."""
@@ -108,8 +120,3 @@ class Stepper:
                     self._advance_pairs_(group, num_pairs)
                 group.graphs[num_pairs] = graph
             group.graphs[num_pairs].replay()
-
-    def step_(self, group: FlowGroup, parity: int) -> None:
-        """Advance one group by one even (0) or odd (1) step."""
-        for part in self.parts:
-            part.run(*group.arguments[part][parity])

@@ -15,9 +15,10 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
-from typing import IO
+from typing import IO, Any
 
 import torch
 from torch import Tensor
@@ -71,26 +72,11 @@ class Workers:
         compile: bool,
     ) -> None:
         self._processes: list[subprocess.Popen[bytes]] = []
-        self._count, self._file, self._compile = count, file, compile
-        self._batch = configs, group_size
         for first in range(count):
-            self._start(range(first, len(configs) // group_size, count))
-
-    def _start(self, groups: range | None) -> None:
-        process = start_child(
-            "from fishrl.physics.fast.workers import serve; serve()",
-            env=os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
-            stdout=subprocess.PIPE,
-            pass_fds=[self._file],
-        )
-        self._processes.append(process)
-        is_alone = not self._count  # the process that is helped: it advances flows and reads them
-        _send(process.stdin, (*self._batch, groups, self._file, self._compile, is_alone))
-
-    def add_helpers(self, count: int) -> None:
-        """Start processes that only compile, until ``end_helpers``."""
-        for _ in range(count):
-            self._start(None)
+            process = _start("serve", stdout=subprocess.PIPE, pass_fds=[file])
+            self._processes.append(process)
+            groups = range(first, len(configs) // group_size, count)
+            _send(process.stdin, (configs, group_size, groups, file, compile))
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
         """Advance the flows of ``groups``, and wait for the workers."""
@@ -122,11 +108,6 @@ class Workers:
                 self.close()
                 raise ChildProcessError(f"a flow worker failed: {problem}")
 
-    def end_helpers(self) -> None:
-        """End the processes that only compile."""
-        while len(self._processes) > self._count:
-            self._processes.pop().communicate()
-
     def close(self) -> None:
         """End the workers."""
         for process in self._processes:
@@ -138,34 +119,68 @@ class Workers:
         self.close()
 
 
+@contextmanager
+def compiling_aside(configs: Sequence[FlowConfig]) -> Iterator[None]:
+    """Let another process compile parts of a single flow's step, while this one does too."""
+    process = _start("compile_aside")
+    try:
+        _send(process.stdin, configs)
+        yield
+    finally:
+        process.communicate()  # ends it
+
+
+def _start(function: str, **options: Any) -> subprocess.Popen[bytes]:
+    code = f"from fishrl.physics.fast.workers import {function}; {function}()"
+    one_thread = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    return start_child(code, env=os.environ | one_thread, **options)
+
+
 def _send(pipe: IO[bytes] | None, message: object) -> None:
     assert pipe is not None
     try:
         pickle.dump(message, pipe)
         pipe.flush()
     except BrokenPipeError:
-        pass  # the worker is gone; waiting for its answer says so
+        pass  # the process is gone; waiting for its answer says so
+
+
+def _begin() -> None:
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
+    logging.basicConfig(level=logging.WARNING)
+
+
+def compile_aside() -> None:
+    """Compile what the parent has not begun to compile."""
+    configs = pickle.load(sys.stdin.buffer)
+    _begin()
+    batch = FlowBatch(
+        configs,
+        group_size=1,
+        device=torch.device("cpu"),
+        allocate=partial(torch.zeros, dtype=torch.uint8),
+    )
+    with suppress(OSError):  # of the compiler: the parent meets the same
+        batch.stepper.compile(batch.first, with_check=True, helps=True)
 
 
 def serve() -> None:
     """Run one worker: attach, then advance on demand until the parent closes the pipe."""
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # nothing but answers may go to the pipe
-    torch.set_num_threads(1)
-    torch.set_flush_denormal(True)
-    configs, group_size, groups, file, compile, with_check = pickle.load(requests)
-    logging.basicConfig(level=logging.WARNING)
+    configs, group_size, groups, file, compile = pickle.load(requests)
+    _begin()
     batch = FlowBatch(
         configs,
         group_size=group_size,
         device=torch.device("cpu"),
         allocate=partial(map_shared, file),
-        groups=range(1) if groups is None else groups,
+        groups=groups,
     )
     try:
         if compile:
-            helps = groups is None
-            batch.stepper.compile(batch.first, with_check=with_check, waits=not helps)
+            batch.stepper.compile(batch.first, with_check=False)
     except OSError as error:  # of the compiler
         _send(answers, str(error))
         return
