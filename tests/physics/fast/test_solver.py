@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 import torch
-from torch._inductor.cpp_builder import cpp_compiler_search
 from torch.profiler import ProfilerActivity, profile
 
 from fishrl.physics import Fish, FlowConfig, FlowState, Foil, InPlaceSolver, Stroke, Strokes
@@ -298,7 +297,6 @@ def test_without_a_compiler_the_flow_runs_eagerly_and_says_so_once(
     find = cache(compiled_module.find_compiler_problem.__wrapped__)
     for module in (compiled_module, execution_module):  # neither has looked for a compiler yet
         monkeypatch.setattr(module, "find_compiler_problem", find)
-    cpp_compiler_search.cache_clear()
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CXX", raising=False)
     with caplog.at_level(logging.WARNING):

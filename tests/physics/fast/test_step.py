@@ -1,5 +1,6 @@
 """The in-place step itself: memory, and its compiled code."""
 
+import importlib
 import logging
 import os
 import random
@@ -8,7 +9,7 @@ import shutil
 import string
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from itertools import chain
 from pathlib import Path
@@ -18,7 +19,6 @@ import pytest
 import torch
 from torch._functorch import config as functorch_config
 from torch._inductor import config as inductor_config
-from torch._inductor.cpp_builder import cpp_compiler_search
 from torch._inductor.graph import GraphLowering
 
 from fishrl.physics import Fish, FlowConfig, InPlaceSolver
@@ -26,6 +26,7 @@ from fishrl.physics.boundaries import Boundaries, NoSlip, Side
 from fishrl.physics.cache_key import make_key
 from fishrl.physics.collision import Rates
 from fishrl.physics.fast import compiled as compiled_module
+from fishrl.physics.fast import identity
 from fishrl.physics.fast import inductor as inductor_module
 from fishrl.physics.fast.compiled import compile_inplace, is_stored
 from fishrl.physics.fast.part import Part
@@ -64,14 +65,6 @@ def test_memory_per_node_and_flow_is_within_45_bytes() -> None:
     assert sum(storages.values()) / (1000 * 500) < 45.5
 
 
-def count_python_calls(function: Callable[..., object], *arguments: object) -> int:
-    events: list[str] = []
-    sys.setprofile(lambda frame, event, argument: events.append(event))
-    function(*arguments)
-    sys.setprofile(None)
-    return events.count("call")
-
-
 @pytest.mark.compile
 def test_compiled_code_is_stored_for_its_machine_and_loaded_without_tracing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -91,7 +84,7 @@ def test_compiled_code_is_stored_for_its_machine_and_loaded_without_tracing(
         for _ in range(2):
             compiled = compile_inplace(double, (x,), name="double")
             x.fill_(1.0)
-            assert count_python_calls(compiled, x) < 6  # about 25 with the layers around the code
+            compiled(x)
             assert x.tolist() == [2.0] * 64
         assert len(traced) == len(list(folder.glob("fishrl/*/*.bin")))
     assert len(traced) > 2  # "" is "avx2" on many machines
@@ -145,7 +138,7 @@ def test_a_flipped_bit_in_stored_code_is_noticed(
 
 TWO_STEPS = """
 import time, torch
-from fishrl.physics.fast.compiled import IsBeingMadeError, compile_inplace
+from fishrl.physics.fast.compiled import compile_inplace
 torch.set_num_threads(1)
 x = torch.ones(3)
 def make(factor, waits):
@@ -154,12 +147,8 @@ def make(factor, waits):
         time.sleep(1.0)
         return (factor * x,)
     return compile_inplace(trace, (x,), name=str(factor), waits=waits)
-made, left = {}, []
-for factor in (2.0, 3.0):
-    try:
-        made[factor] = make(factor, False)
-    except IsBeingMadeError:
-        left.append(factor)
+made = {factor: make(factor, False) for factor in (2.0, 3.0)}
+left = [factor for factor, function in made.items() if function is None]
 made |= {factor: make(factor, True) for factor in left}
 print("left", left)
 for factor in (2.0, 3.0):
@@ -197,24 +186,25 @@ def test_processes_share_code_and_make_it_again_where_a_killed_compiler_left_it_
     assert caplog.text.count("is damaged") == 2
 
 
-def test_the_key_of_a_machine_has_its_instructions_and_its_compiler(tmp_path: Path) -> None:
-    compiler, keys = tmp_path / "g++", []
+def test_the_key_of_a_machine_has_its_instructions_and_its_compiler(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gcc, compiler, keys = shutil.which("g++"), tmp_path / "g++", []
+    monkeypatch.setenv("CXX", str(compiler))
     for flags in ("", "-march=bonnell", "-D__VERSION__='13'", ""):
-        compiler.write_text(f'#!/bin/sh\nexec g++ "$@" {flags}\n')
+        compiler.write_text(f'#!/bin/sh\nexec {gcc} "$@" {flags}\n')
         compiler.chmod(0o755)
         inductor_module.describe_target.cache_clear()
-        with inductor_config.patch({"cpp.cxx": str(compiler)}):
-            keys.append(inductor_module.identify_machine(torch.device("cpu")))
+        keys.append(inductor_module.identify_machine(torch.device("cpu")))
     inductor_module.describe_target.cache_clear()
     assert keys[0] == keys[-1] and len(set(keys)) == 3
 
 
 def find_problem() -> str | None:
-    cpp_compiler_search.cache_clear()
     return inductor_module.find_compiler_problem.__wrapped__("cpu")
 
 
-def test_the_compiler_is_the_one_that_inductor_finds(
+def test_the_compiler_is_the_one_that_is_named_or_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "clang++").symlink_to(shutil.which("g++") or "")
@@ -222,8 +212,7 @@ def test_the_compiler_is_the_one_that_inductor_finds(
     assert find_problem() is None
     for wrong in ("nope", "ccache clang++", "", str(tmp_path)):
         monkeypatch.setenv("CXX", wrong)
-        with inductor_config.patch({"cpp.cxx": (None, wrong)}):  # as if set before the start
-            assert str(find_problem()).startswith(f"CXX={wrong!r} is no C++ compiler")
+        assert str(find_problem()).startswith(f"CXX={wrong!r} is no C++ compiler")
 
 
 def test_paths_that_no_command_can_hold_are_refused(
@@ -329,11 +318,45 @@ def test_the_key_of_a_part_has_all_that_its_function_closes_over(
 
     assert find_key(1.0, Side.TOP) == find_key(1.0, Side.TOP) is not None
     assert len({find_key(1.0), find_key(1.0 + 1e-15), find_key(Side.TOP), find_key()}) == 4
-    for foreign in (square, torch.ones(1), object(), Magnetic(), Magnetic):
+    for foreign in (square, torch.ones(1), object()):
         assert find_key(foreign) is None, foreign
     assert Part("toy", lambda memory, parity: (), square, {}).key is None
 
 
-def test_parts_that_know_a_class_from_outside_the_package_have_no_key() -> None:
-    parts = list_parts(make_tank(boundaries=Boundaries(top=Magnetic())))
+OWN_EDGE = """
+from fishrl.physics.boundaries import NoSlip
+from own_numbers import NUMBER
+class Magnetic(NoSlip):
+    pull: float = 1.0
+"""
+
+
+def test_a_class_of_ones_own_is_known_by_its_settings_and_sources(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of its module, and of those that it imports; none without a file."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    keys = []
+    for number, extra, pull in (
+        (1, "", 1.0),
+        (1, "", 1.0),
+        (1, "", 2.0),
+        (2, "", 1.0),
+        (1, "X = 2", 1.0),
+    ):
+        (tmp_path / "own_numbers.py").write_text(f"def find():\n    return {number}\nNUMBER = find")
+        (tmp_path / "own_edge.py").write_text(f"{OWN_EDGE}\n{extra}\n")
+        for name in ("own_edge", "own_numbers"):
+            monkeypatch.delitem(sys.modules, name, raising=False)
+        importlib.invalidate_caches()
+        identity._hash_source.cache_clear()
+        edge = importlib.import_module("own_edge").Magnetic(pull=pull)
+        parts = list_parts(make_tank(boundaries=Boundaries(top=edge)))
+        assert all(part.key for part, _ in parts)
+        keys.append([part.key for part, _ in parts])
+    assert keys[0] == keys[1] and len(set(map(tuple, keys))) == 4
+    (tmp_path / "own_numbers.py").unlink()
+    identity._hash_source.cache_clear()
+    parts = list_parts(make_tank(boundaries=Boundaries(top=edge)))
     assert [part.name for part, _ in parts if part.key is None] == ["edges ['TOP']"]
+    identity._hash_source.cache_clear()

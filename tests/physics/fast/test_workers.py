@@ -17,7 +17,6 @@ from fishrl.physics.bodies.motion import Fixed
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.fast import execution as execution_module
 from fishrl.physics.fast import workers as workers_module
-from fishrl.physics.fast.execution import Execution
 
 CONFIG = FlowConfig(width=32, height=24, tau=0.6)
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="it reads /proc")
@@ -89,18 +88,6 @@ def test_flows_in_processes_move_as_flows_here_do_until_they_are_closed() -> Non
         there.advance_(2)
 
 
-def test_a_worker_that_only_compiles_ends_before_the_first_step(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(Execution, "_count_helpers", lambda execution: 1)
-    here, there = make_solver(0), make_solver(1)
-    for solver in (here, there):
-        solver.advance_(6)
-    assert torch.equal(here.populations(), there.populations())
-    assert there._execution.workers is not None
-    assert len(there._execution.workers._processes) == 1
-
-
 @pytest.mark.compile
 def test_a_single_flow_advances_here_on_one_thread_and_only_new_code_starts_processes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -114,7 +101,7 @@ def test_a_single_flow_advances_here_on_one_thread_and_only_new_code_starts_proc
         return start_child(code, **options)
 
     monkeypatch.setattr(workers_module, "start_child", start)
-    monkeypatch.setattr(execution_module, "count_running", lambda: 0)
+    monkeypatch.setattr(execution_module, "count_cores", lambda: 2)
     compile_here, waited = compiled_module._compile, list[Any]()
 
     def compile_later(*given: Any) -> Any:

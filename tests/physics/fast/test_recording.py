@@ -1,0 +1,59 @@
+"""Recorded steps do what launched ones do, and every part that people run can be recorded."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from fishrl.physics import InPlaceSolver
+from fishrl.physics.fast.recording import record
+from fishrl.programs.configuration import CONF
+from fishrl.programs.train_settings import TRAINING
+from tests.physics.fast.test_solver import CHANGES, make_solver
+from tests.physics.flows import make_tank
+
+
+def list_unrecorded(solver: InPlaceSolver) -> list[str]:
+    """Return the parts whose recording is the part itself, but those that are never compiled."""
+    parts = [part for part, _ in solver.list_calls() if part.name != "crossing"]
+    first = solver._batch.first
+    return [p.name for p in parts if p.record(first.arguments[p][0])[0].func == p.run]
+
+
+@pytest.mark.compile
+@pytest.mark.parametrize("name", ["commanded", "sharp skin"])
+def test_recorded_steps_equal_launched_ones_bit_for_bit(name: str) -> None:
+    recorded, launched = (make_solver(make_tank(**CHANGES[name]), compile=True) for _ in range(2))
+    recorded.advance_(20)
+    launched.compile()
+    stepper = launched._batch.stepper
+    for group in launched._batch.groups.values():
+        if stepper.locate is not None:
+            stepper.locate.run(*group.arguments[stepper.locate][1])
+        stepper._advance_pairs_(group, 10)
+    after = launched.state_dict()
+    for key, value in recorded.state_dict().items():
+        assert torch.equal(value, after[key]), key
+    assert list_unrecorded(recorded) == []
+
+
+@pytest.mark.slow
+@pytest.mark.compile
+def test_every_part_of_every_preset_and_task_is_recorded() -> None:
+    words = [
+        f"{group}={file.stem}" for group in ("preset", "task") for file in (CONF / group).iterdir()
+    ]
+    configs = {TRAINING.read([word]).task.flow_config(): word for word in words}
+    for config, word in configs.items():
+        solver = InPlaceSolver(config=config, num_envs=1, num_workers=0)
+        solver.compile()
+        assert list_unrecorded(solver) == [], word
+
+
+def test_a_function_that_is_not_compiled_is_its_own_recording() -> None:
+    def double(x: Tensor) -> None:
+        x.mul_(2.0)
+
+    x = torch.ones(3)
+    (call,) = record(double, (x,), [])
+    call()
+    assert x.tolist() == [4.0, 4.0, 4.0]
