@@ -270,27 +270,6 @@ def test_all_links_of_a_body_that_keeps_the_margin_are_on_the_grid(
             assert torch.equal(node[here.is_cut], shifted[free.is_cut] - 100)
 
 
-@pytest.mark.compile
-def test_a_compiled_still_cylinder_feels_the_same_as_in_the_readable_step() -> None:
-    """The cylinder of the tutorial on new tasks, whose wake is developed with the same code.
-
-    Fluid and edges are those of ``tests/envs/test_deflection.py``.
-    """
-    speed = 0.1 / 1.06
-    kick = Fixed(kick_speed=0.3 * speed, kick_steps=round(30 / speed))
-    cylinder = Cylinder(diameter=10, motion=kick)
-    size = {"width": 160, "height": 80, "boundaries": Boundaries.make_stream()}
-    config = make_cylinder(kick, bodies=(cylinder,), stream_speed=speed, **size)
-    solver = start_solver(config, MIDDLE, velocity=(1.0, 0.0), compile=True)
-    solver.advance_(40)
-    none = torch.zeros(1, 80, 160, dtype=torch.float64)
-    body = make_body(MIDDLE, 0 * ONE, 0 * ONE)
-    state = advance(FlowState(make_uniform(none, none + speed, none), (body,)), config, 40)
-    expected = state.bodies[0].impulse
-    assert float(expected[0, 0]) > 1.0
-    torch.testing.assert_close(solver.body.impulse, expected, rtol=1e-4, atol=1e-4)
-
-
 def test_links_of_a_body_beyond_the_grid_stay_within_it() -> None:
     outline = draw_outline(1) + 1000.0
     for links in (find_links(outline, SIZE, SIZE), find_links(outline * math.nan, SIZE, SIZE)):

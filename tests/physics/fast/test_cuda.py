@@ -18,7 +18,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fishrl.physics import Cylinder, Fish, FlowConfig, InPlaceSolver
+from fishrl.physics import BounceBack, Cylinder, Fish, FlowConfig, ImmersedBoundary, InPlaceSolver
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.fast.stepper import Stepper
@@ -33,15 +33,15 @@ pytestmark = [
     pytest.mark.skipif(find_spec("triton") is None, reason="needs the extra triton"),
 ]
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
-#: What swims or lies in two flows, and where its centre and its nose are.
+#: What swims or lies in two flows, where its centre and its nose are, and the skin.
 FISH = [[40.3, 30.2], [38.0, 31.7]], [math.pi, 2.8]
 BEHIND = [[68.0, 24.0], [67.3, 37.0]], [math.pi, 3.0]
 CASES = {
-    "cylinder": [(Cylinder(diameter=10), *FISH)],
-    "free and commanded fish": [
-        (Fish(body_length=20, motion=Free()), *FISH),
-        (Fish(body_length=20), *BEHIND),
-    ],
+    "cylinder": ([(Cylinder(diameter=10), *FISH)], ImmersedBoundary()),
+    "free and commanded fish": (
+        [(Fish(body_length=20, motion=Free()), *FISH), (Fish(body_length=20), *BEHIND)],
+        BounceBack(),
+    ),
 }
 #: Kernels of one step, launched one after the other.
 MOST_LAUNCHES = {"cylinder": 16, "free and commanded fish": 22}
@@ -50,13 +50,14 @@ REPLAY = Stepper._replay_  # recorded here, and nowhere else on the pretended de
 
 
 def make_solver(name: str, *, device: str, compile: bool) -> InPlaceSolver:
-    bodies = CASES[name]
+    bodies, skin = CASES[name]
     config = FlowConfig(
         width=90,
         height=60,
         tau=0.56,
         stream_speed=0.03,
         bodies=tuple(body for body, *_ in bodies),
+        skin=skin,
         boundaries=Boundaries(left=STREAM, right=OpenEdge(), bottom=STREAM, top=STREAM),
     )
     where = (

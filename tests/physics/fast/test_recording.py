@@ -20,7 +20,9 @@ def list_unrecorded(solver: InPlaceSolver) -> list[str]:
 
 
 @pytest.mark.compile
-@pytest.mark.parametrize("name", ["commanded", "sharp skin"])
+@pytest.mark.parametrize(
+    "name", ["sharp skin", pytest.param("direct solve", marks=pytest.mark.slow)]
+)
 def test_recorded_steps_equal_launched_ones_bit_for_bit(name: str) -> None:
     recorded, launched = (make_solver(make_tank(**CHANGES[name]), compile=True) for _ in range(2))
     recorded.advance_(20)

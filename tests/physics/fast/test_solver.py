@@ -176,7 +176,10 @@ def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way()
 
 
 @pytest.mark.compile
-@pytest.mark.parametrize("name", ["commanded", pytest.param("strokes", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name",
+    ["sharp skin", *(pytest.param(n, marks=pytest.mark.slow) for n in ("commanded", "strokes"))],
+)
 def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit_in_processes(
     name: str,
 ) -> None:
@@ -193,7 +196,7 @@ def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit_in_proce
 
 @pytest.mark.compile
 def test_a_compiled_step_takes_no_memory_that_grows_with_the_grid() -> None:
-    config = make_tank(**CHANGES["commanded"])  # compiled by another test
+    config = make_tank(**CHANGES["sharp skin"])  # compiled by another test
     solver = make_solver(config, slice(1), compile=True)
     solver.advance_(4)
     with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as record:

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.limits import count_cores
 from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
 from fishrl.physics.bodies.motion import Fixed
 from fishrl.physics.fast import compiled as compiled_module
@@ -267,14 +266,3 @@ def test_a_class_that_workers_cannot_import_is_refused() -> None:
     with pytest.raises(ValueError, match=r"num_workers = 1 .* a module"):
         InPlaceSolver(config=config, num_envs=1, compile=False, num_workers=1)
     InPlaceSolver(config=config, num_envs=1, compile=False).advance_(2)
-
-
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux alone tells")
-def test_flows_use_the_cores_that_the_process_was_given() -> None:
-    given = os.sched_getaffinity(0)
-    try:
-        os.sched_setaffinity(0, {min(given)})
-        assert count_cores() == 1
-    finally:
-        os.sched_setaffinity(0, given)
-    assert count_cores() == len(given)
