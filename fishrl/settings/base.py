@@ -3,6 +3,7 @@
 import inspect
 import math
 import typing
+from collections import ChainMap
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, field
 from enum import Enum
@@ -51,7 +52,7 @@ class Settings:
     ``__post_init__``.
 
     Attributes:
-        former: what to give in place of settings that are gone, by their names.
+        former: what to give in place of settings that are gone, by their names; with the bases'.
 
     Raises:
         ValueError: with a line per error, ``name = value: must be ...``.
@@ -65,6 +66,7 @@ class Settings:
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
+        cls.former = dict(ChainMap(*(dict(vars(base).get("former", {})) for base in cls.__mro__)))
         annotated, inherited = inspect.get_annotations(cls), dict[str, FieldInfo]()
         for base in reversed(cls.__mro__[1:]):
             inherited |= vars(base).get("__pydantic_fields__", {})

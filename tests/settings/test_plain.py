@@ -223,3 +223,8 @@ def test_arguments_of_one_class_alone_make_it() -> None:
 def test_removed_setting_names_replacement() -> None:
     with pytest.raises(ValueError, match=r"^swim: give gait=wide-gait$"):
         Task(swim=1)  # type: ignore[call-arg]
+
+    class Race(Task):
+        former: ClassVar[Mapping[str, str]] = {"lane": "give gap_bl"}
+
+    assert Race.former == {**Task.former, "lane": "give gap_bl"}
