@@ -4,7 +4,6 @@ Example::
 
     from fishrl.envs import Flows, Predation
     from fishrl.training import DiscreteSAC, LearningSettings, RunSettings, evaluate, train
-    from pathlib import Path
 
     summary = train(
         task=Predation(body_length=40, reynolds=2000),
@@ -13,7 +12,7 @@ Example::
         run=RunSettings(total_frames=2000, folder="runs", name="first"),
     )
     print(summary["success_rate"], summary["random_success_rate"])
-    print(evaluate(Path("runs/first"), episodes=64))
+    print(evaluate("runs/first", episodes=64))
 
 ``resume("runs/first", total_frames=4000)`` continues a finished or interrupted run exactly.
 """

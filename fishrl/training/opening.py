@@ -84,10 +84,10 @@ class Opened:
         plan = self.plan
         if self.summary is not None:
             raise ValueError(f"run folder {self.folder.path}: is finished; raise total_frames")
-        check_device(plan.flows.device)
-        check_device(plan.policy_device)
         if plan.ray_collectors:
             _check_cluster(plan)
+        check_device(plan.flows.device)
+        check_device(plan.policy_device)
         transition = 2 * (self.spec.num_inputs + self.spec.num_actions)
         needed: dict[str, dict[str, float]] = {plan.flows.device: {}, plan.policy_device: {}}
         needed[plan.flows.device]["flows"] = self.task.flow_config().num_bytes * plan.flows.num_envs

@@ -27,13 +27,8 @@ YAMLS = sorted(
 )
 TINY = [
     *OVERRIDES,
-    *(
-        "flows.compile=false",
-        "flows.num_envs=2",
-        "task.time_limit=2",
-        "total_frames=4",
-        "warmup_frames=2",
-    ),
+    *("flows.compile=false", "flows.num_envs=2", "task.time_limit=2"),
+    *("total_frames=4", "warmup_frames=2"),
     *("batch_size=2", "hidden=[8]", "eval_frames=4", "eval_episodes=1", "final_episodes=1"),
     *("picture_episodes=0", "baselines=[]", "name=run"),
 ]

@@ -35,13 +35,8 @@ HERE = "tests.training.faults"  # makes fish glide in the runs' own processes
 TASK = {"body_length": 20, "reynolds": 500, "max_wall_speed": 0.15, "wall_margin_bl": 0.15}
 SETTINGS = [
     *(f"task.{name}={value}" for name, value in TASK.items()),
-    *(
-        "task.time_limit=4",
-        "flows.compile=false",
-        "flows.num_envs=2",
-        "total_frames=16",
-        "warmup_frames=4",
-    ),
+    *("task.time_limit=4", "flows.compile=false", "flows.num_envs=2"),
+    *("total_frames=16", "warmup_frames=4"),
     *("log_frames=4", "checkpoint_frames=4", "batch_size=4", "hidden=[8]", "eval_frames=8"),
     *("eval_episodes=2", "final_episodes=2", "picture_episodes=0", "baselines=[]"),
 ]
@@ -162,14 +157,14 @@ def test_other_classifier_makes_another_run(tmp_path: Path) -> None:
 
 
 def test_logging_and_baselines_do_not_split_groups(tmp_path: Path) -> None:
-    given = [
-        "port=9900",
-        "live_share=0.2",
-        "shown_flows=[0,1]",
-        "log_frames=8",
+    given = ["port=9900", "live_share=0.2", "shown_flows=[0,1]", "log_frames=8"]
+    given += [
         "checkpoint_frames=8",
+        "keep_checkpoints=4",
+        "picture_episodes=0",
+        "baselines=[random]",
+        "live=true",
     ]
-    given += ["keep_checkpoints=4", "picture_episodes=0", "baselines=[random]", "live=true"]
     given.append("logger=wandb")
     for name, words in {"a": [], "b": given, "c": ["eval_frames=8"]}.items():
         open_run(TRAINING.read([f"folder={tmp_path}", f"name={name}", *words])).enter()

@@ -39,13 +39,8 @@ def forget(monkeypatch: pytest.MonkeyPatch) -> None:
 
 SETTINGS = [
     *("task=hold_station", *(f"task.{name}={value}" for name, value in SMALL.items())),
-    *(
-        "task.time_limit=3",
-        "flows.compile=false",
-        "flows.num_envs=2",
-        "total_frames=8",
-        "warmup_frames=4",
-    ),
+    *("task.time_limit=3", "flows.compile=false", "flows.num_envs=2"),
+    *("total_frames=8", "warmup_frames=4"),
     *("log_frames=4", "checkpoint_frames=8", "eval_frames=8", "eval_episodes=2"),
     *("final_episodes=2", "batch_size=4", "hidden=[8]"),
 ]
