@@ -27,9 +27,8 @@ from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
 from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import Settings
-from fishrl.training.plain_files import Stored, read_plain
 from fishrl.training.recognition import FILE
-from fishrl.training.run_folder import write_json
+from fishrl.training.run_folder import Stored, read_plain, write_json
 
 #: Settings of the trainings of each arm, in addition to the settings of the scale. Without rows of
 #: frequencies, a flow label is useful only to a policy that observes it.

@@ -19,10 +19,9 @@ from pydantic import Field, PositiveInt
 from torchrl import checkpoint as torchrl_checkpoint
 
 from fishrl.files import load_tensors, write_whole
-from fishrl.training.plain_files import Count, Stored, Tree, read_plain
 from fishrl.training.policy_spec import CHECKED, PolicySpec
 from fishrl.training.recognition import locate
-from fishrl.training.run_folder import refuse_many
+from fishrl.training.run_folder import Count, Stored, Tree, read_plain, refuse_many
 from fishrl.zoo import find_folder
 
 MANIFEST, SUMS = "manifest.json", "SHA256SUMS"

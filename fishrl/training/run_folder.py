@@ -1,4 +1,4 @@
-"""The folder of a run: paths of its files, locking, and whether it can be written."""
+"""The folder of a run: paths of its files, their lock, and how they are read and written."""
 
 from __future__ import annotations
 
@@ -10,15 +10,26 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Annotated, Any, TextIO
 
 import yaml
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, ValidationError
 
 from fishrl.files import write_whole
 from fishrl.locks import take_lock
 from fishrl.training.interruption import Interrupted
-from fishrl.training.plain_files import Tree, read_plain
 from fishrl.training.recognition import locate
+
+#: Mapping of plain data: numbers, words, lists and mappings of them.
+Tree = dict[str, JsonValue]
+#: A number of frames or episodes.
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class Stored(BaseModel):
+    """Base of the types of stored files; nothing is converted."""
+
+    model_config = ConfigDict(strict=True)
 
 
 class HeldError(ValueError):
@@ -114,6 +125,26 @@ def refuse_many(folder: Path, *, setting: str) -> None:
         raise ValueError(
             f"{setting} = {folder}: holds runs; name one of them, such as {held[0].parent}"
         )
+
+
+def read_plain(path: Path, kind: Any, *, what: str) -> Any:
+    """Read a ``.yaml`` or ``.json`` file of a type: ``Tree``, ``Stored``, or a mapping to these.
+
+    Raises:
+        ValueError: for bytes that cannot be parsed and for other types, naming ``what``.
+        OSError: if the file cannot be read.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        tree = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
+        return TypeAdapter(kind).validate_python(tree)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        reason = f"{'.'.join(map(str, first['loc'][:4])) or 'the whole'}: {first['msg']}"
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
+        reason = str(error)
+    reason = " ".join(reason.split())[:300]
+    raise ValueError(f"{path}: damaged or not {what} ({reason}); repair or delete it")
 
 
 def read_config(path: Path) -> dict[str, Any]:
