@@ -174,7 +174,7 @@ def test_live_view_keeps_to_its_share_of_wall_time(
 def test_invalid_settings_are_refused() -> None:
     for flows in ([], [2], [-1], [0, 0]):
         with pytest.raises(ValueError, match="must be some of 0 to 1, each once"):
-            ViewerSettings(flows=flows).choose_flows(2, default=1)
+            ViewerSettings(shown_flows=flows).choose_flows(2, default=1)
     with pytest.raises(ValueError, match="must be 'jpeg' or 'u8'"):
         ViewerSettings(field_format="png")
     with pytest.raises(ValueError, match="did you mean 'speed'"):
