@@ -28,7 +28,7 @@ pytestmark = [
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), DRQN()], ids=["sac", "drqn"])
 @pytest.mark.parametrize(("device", "learner_device"), [("cuda", "cpu"), ("cpu", "cuda")])
 @pytest.mark.usefixtures("kinematic")
-def test_flows_and_networks_have_devices_of_their_own_and_may_change_them(
+def test_flows_and_networks_may_change_devices(
     device: str, learner_device: str, algorithm: Any, tmp_path: Path
 ) -> None:
     def start(name: str, total_frames: int) -> Training:

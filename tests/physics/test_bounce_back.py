@@ -97,7 +97,7 @@ def test_a_link_meets_the_skin_where_its_crossing_is(seed: int) -> None:
         assert float(error.abs().max()) < 1e-9
 
 
-def test_forces_at_crossings_keep_their_power_and_torque_at_the_markers() -> None:
+def test_marker_forces_preserve_power_and_torque() -> None:
     torch.manual_seed(0)
     outline = draw_outline(0)
     links = find_links(outline, SIZE, SIZE)
@@ -189,7 +189,7 @@ def push(skin: Skin) -> BodyState:
     return state.bodies[0]
 
 
-def test_a_pushed_body_obeys_newton_and_moves_as_with_the_immersed_boundary() -> None:
+def test_pushed_body_obeys_newton_with_both_skins() -> None:
     """Added mass included: the water takes about half of the momentum."""
     body = push(BounceBack())
     area = math.pi * 64
@@ -224,7 +224,7 @@ def test_a_turning_cylinder_drags_the_water_as_stokes_second_problem() -> None:
     assert got == pytest.approx(impulse(200.0) - impulse(40.0), rel=0.03)
 
 
-def test_two_bodies_in_a_stream_are_the_same_in_the_in_place_step() -> None:
+def test_in_place_step_of_two_bodies_equals_readable_step() -> None:
     """A still cylinder and one that the wake moves."""
     still = Cylinder(diameter=12, motion=Fixed())
     free = replace(still, motion=Free())
@@ -244,7 +244,7 @@ def test_two_bodies_in_a_stream_are_the_same_in_the_in_place_step() -> None:
         assert float((got.position - expected.position).abs().max()) < 1e-4
 
 
-def test_a_body_of_another_skin_is_refused_by_name_with_the_remedy() -> None:
+def test_body_of_another_skin_is_refused() -> None:
     soft = ImmersedBoundary().fit(Cylinder(diameter=16))
     with pytest.raises(ValueError, match=r"made for skin = ImmersedBoundary\(\).*give FlowConfig"):
         make_cylinder(Fixed(), bodies=(soft,))
@@ -255,7 +255,7 @@ def test_a_body_of_another_skin_is_refused_by_name_with_the_remedy() -> None:
 
 
 @pytest.mark.parametrize("corner", [(MARGIN, MARGIN), (SIZE - 1 - MARGIN, SIZE - 1 - MARGIN)])
-def test_all_links_of_a_body_that_keeps_the_margin_are_on_the_grid(
+def test_links_within_margin_are_on_grid(
     corner: tuple[float, float],
 ) -> None:
     """Compared with a grid so large that no node is clamped."""

@@ -31,7 +31,7 @@ def test_sliding_wall_drives_an_exact_couette_flow(top: NoSlip | NonEquilibrium)
     assert_close(u, exact, rtol=0, atol=1e-6)
 
 
-def test_sound_leaves_through_an_open_edge_and_returns_from_a_pinned_one() -> None:
+def test_open_edge_transmits_and_pinned_edge_reflects_sound() -> None:
     """A plane pulse of density 1e-3 meets the right edge; 4 % of it returns from the open one."""
     left = {}
     for name, right in {"open": OpenEdge(), "pinned": NonEquilibrium(density=1.0)}.items():

@@ -34,6 +34,6 @@ def test_code_counts_and_words_about_it_do_not(
     assert (read_code(file) != read_code(other)) is counts
 
 
-def test_a_key_depends_on_each_part_and_on_the_packages_named() -> None:
+def test_key_depends_on_parts_and_named_packages() -> None:
     assert make_key(1, "a") == make_key(1, "a") != make_key(1, "b")
     assert hash_sources() != hash_sources("fishrl.envs")

@@ -73,7 +73,7 @@ def test_driven_body_moves_at_its_prescribed_velocity_from_any_state() -> None:
     torch.testing.assert_close(after.hydro_torque, before - after.torque_impulse)
 
 
-def test_muscles_and_torque_of_a_turning_fish_do_the_work_on_the_water() -> None:
+def test_muscle_and_torque_work_equals_work_on_fluid() -> None:
     """The work on the water: each marker's force times the fluid's velocity there after it."""
     skin = ImmersedBoundary(force_solve=DirectSolve())
     config = make_swimmer_config(SCALES, length_bl=3, height_bl=3, bodies=(SWIMMER,), skin=skin)
@@ -111,7 +111,7 @@ def test_no_torque_does_work_on_a_free_fish(density_ratio: float, skin: Skin, sh
 
 
 @pytest.mark.parametrize("skin", [ImmersedBoundary(), BounceBack()])
-def test_fish_that_does_not_beat_drifts_with_the_stream_in_single_precision(skin: Skin) -> None:
+def test_passive_fish_drifts_with_stream_in_single_precision(skin: Skin) -> None:
     config = make_box(Fish(body_length=24, motion=Commanded()), skin=skin, stream_speed=0.05)
     centre = torch.tensor([CENTRE], dtype=torch.float64)
     solver = start_solver(config, centre, 0.7 * ONE, velocity=(1.0, -0.4))

@@ -21,7 +21,7 @@ Measure = Callable[[Tensor, float], object]
 LIFT = 0.3 + 0.8 * torch.sin(2.0 * math.pi * FREQUENCY * TIME + 0.4)
 
 
-def test_cycles_of_a_sine_do_not_depend_on_where_the_record_ends() -> None:
+def test_cycles_do_not_depend_on_end_of_record() -> None:
     """Tolerances: linear and parabolic interpolation at 107 samples per period, (pi/107)^2 ~ 1e-3
     of a crossing's own distance, far less after cancelling between periods."""
     cycles = measure_cycles(LIFT, 0.1)

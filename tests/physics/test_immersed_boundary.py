@@ -24,7 +24,7 @@ def make_markers(heading: float = 0.7, fish: Fish = FISH) -> torch.Tensor:
     return place_markers(body, deform_body(fish, fish.make_params(), body)).position
 
 
-def test_sums_of_kernel_weights_and_squares_do_not_depend_on_the_place() -> None:
+def test_kernel_moments_do_not_depend_on_position() -> None:
     markers = 20 + torch.rand(1, 500, 2, dtype=torch.float64)
     stencil = make_stencil(markers, SIZE, SIZE, torch.float64)
     one = torch.ones(1, 500, dtype=torch.float64)

@@ -58,7 +58,7 @@ def test_outlines_have_their_exact_sizes_and_a_marker_per_node(
     assert float(gaps.min()) > 0.7 and float(gaps.max()) < 1.3
 
 
-def test_half_disc_has_markers_on_its_corners_and_a_round_nose() -> None:
+def test_half_disc_has_markers_on_corners_and_round_nose() -> None:
     outline = DCylinder(diameter=40, inset=0.0)
     shape = get_shape(outline)
     centroid = 20 - 80 / (3 * math.pi)  # from the nose

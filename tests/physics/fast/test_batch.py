@@ -28,7 +28,7 @@ def test_at_a_node_the_flow_is_that_of_the_node(flows_per_launch: int) -> None:
     torch.testing.assert_close(velocity, u[:, :, y, x].mT, rtol=0, atol=1e-6)
 
 
-def test_between_nodes_the_flow_is_bilinear_and_outside_the_grid_that_of_the_edge() -> None:
+def test_sampling_is_bilinear_and_clamped_to_grid() -> None:
     solver = make_solver()
     density, velocity = solver.sample(torch.tensor([[[3.25, 4.5]]]).expand(4, 1, 2))
     rho, u = solver.macroscopic()

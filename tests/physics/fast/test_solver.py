@@ -142,7 +142,7 @@ def test_many_steps_in_place_and_one_more_equal_readable_steps(name: str, num_st
     assert float(error) < 5e-5
 
 
-def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way() -> None:
+def test_changing_stream_equals_readable_step_and_resumes() -> None:
     config = make_tank(**CHANGES["sheared"])
     solver, other = (make_solver(config, flows_per_launch=3) for _ in range(2))
     state, params = advance(read_state(solver), config, 60), make_params([config] * 3)
@@ -180,7 +180,7 @@ def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way()
     "name",
     ["sharp skin", *(pytest.param(n, marks=pytest.mark.slow) for n in ("commanded", "strokes"))],
 )
-def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit_in_processes(
+def test_compiled_step_equals_readable_step_and_repeats_bitwise(
     name: str,
 ) -> None:
     config = make_tank(**CHANGES[name])
@@ -195,7 +195,7 @@ def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit_in_proce
 
 
 @pytest.mark.compile
-def test_a_compiled_step_takes_no_memory_that_grows_with_the_grid() -> None:
+def test_compiled_step_allocates_no_grid_memory() -> None:
     config = make_tank(**CHANGES["sharp skin"])  # compiled by another test
     solver = make_solver(config, slice(1), compile=True)
     solver.advance_(4)
@@ -206,7 +206,7 @@ def test_a_compiled_step_takes_no_memory_that_grows_with_the_grid() -> None:
     assert largest < field, f"an operation of a step allocates {largest} bytes"
 
 
-def test_a_step_and_a_reset_change_their_rows_alone_and_a_reset_erases_the_history() -> None:
+def test_step_and_reset_change_only_their_rows() -> None:
     solver, fresh = make_solver(), make_solver()
     assert torch.equal(solver.populations().double(), make_rest(TANK, 3))
     body = make_body(STARTS, HEADINGS, torch.full((3,), 1.0 / SCALES.period, dtype=torch.float64))
@@ -280,7 +280,7 @@ def test_flows_that_diverge_are_reported_once_each_time(
     ("speed", "f0", "is_over"),
     [(0.45, None, False), (0.55, None, True), *((0.0, f0, True) for f0 in (-2.0, 2.0, math.inf))],
 )
-def test_speed_above_half_a_node_and_impossible_densities_count_as_diverged(
+def test_impossible_speed_and_density_count_as_diverged(
     speed: float, f0: float | None, is_over: bool
 ) -> None:
     """Densities: negative, twice that at rest, or infinite while the momentum is finite."""
@@ -294,7 +294,7 @@ def test_speed_above_half_a_node_and_impossible_densities_count_as_diverged(
     assert solver.is_diverged().tolist() == [False, is_over, False]
 
 
-def test_without_a_compiler_the_flow_runs_eagerly_and_says_so_once(
+def test_missing_compiler_falls_back_to_eager_steps(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     find = cache(compiled_module.find_compiler_problem.__wrapped__)

@@ -39,7 +39,7 @@ OUTFLOW = CHANGES["pinned outflow"]
 
 
 @pytest.mark.compile
-def test_the_bulk_pass_is_one_loop_of_nine_loads_and_nine_stores(
+def test_collision_is_one_loop_of_nine_loads_and_stores(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     written: list[str] = []
@@ -66,7 +66,7 @@ def test_memory_per_node_and_flow_is_within_45_bytes() -> None:
 
 
 @pytest.mark.compile
-def test_compiled_code_is_stored_for_its_machine_and_loaded_without_tracing(
+def test_stored_code_is_per_machine_and_not_traced_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Machines that share a folder have vectors of different widths, or other threads."""
@@ -157,7 +157,7 @@ for factor in (2.0, 3.0):
 
 
 @pytest.mark.compile
-def test_processes_share_code_and_make_it_again_where_a_killed_compiler_left_it_unfinished(
+def test_processes_share_code_and_replace_damaged_libraries(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -186,7 +186,7 @@ def test_processes_share_code_and_make_it_again_where_a_killed_compiler_left_it_
     assert caplog.text.count("is damaged") == 2
 
 
-def test_the_key_of_a_machine_has_its_instructions_and_its_compiler(
+def test_machine_key_depends_on_instructions_and_compiler(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gcc, compiler, keys = shutil.which("g++"), tmp_path / "g++", []
@@ -253,7 +253,7 @@ OTHERS: list[dict[str, Any]] = [
 ]
 
 
-def test_flows_share_all_compiled_parts_where_they_are_equal_and_nowhere_else() -> None:
+def test_only_equal_parts_share_code() -> None:
     # sponges in other places are the same code, with other numbers
     changes = [*OTHERS, *(CHANGES[n] for n in CHANGES if n not in ("commanded", "in a sponge"))]
     assert {each.name for each in fields(FlowConfig)} | {"motion"} == {*ALIKE, *chain(*changes)}
@@ -302,7 +302,7 @@ class Magnetic(NoSlip):
     """An edge whose source the package does not hold."""
 
 
-def test_the_key_of_a_part_has_all_that_its_function_closes_over(
+def test_part_key_covers_closure(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def find_key(*known: Any) -> str | None:
@@ -331,7 +331,7 @@ class Magnetic(NoSlip):
 """
 
 
-def test_a_class_of_ones_own_is_known_by_its_settings_and_sources(
+def test_own_class_is_identified_by_settings_and_source(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of its module, and of those that it imports; none without a file."""

@@ -73,7 +73,7 @@ def find_processes(mark: str) -> set[int]:
     return found
 
 
-def test_flows_in_processes_move_as_flows_here_do_until_they_are_closed() -> None:
+def test_flows_in_workers_equal_local_flows_until_closed() -> None:
     here, there = make_solver(0), make_solver(2)
     for solver in (here, there):
         solver.advance_(6)
@@ -88,7 +88,7 @@ def test_flows_in_processes_move_as_flows_here_do_until_they_are_closed() -> Non
 
 
 @pytest.mark.compile
-def test_a_single_flow_advances_here_on_one_thread_and_only_new_code_starts_processes(
+def test_single_flow_starts_processes_only_to_compile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
@@ -136,7 +136,7 @@ def test_interrupted_while_it_waits_for_workers_a_solver_starts_others(
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
-def test_an_interrupted_flow_in_this_process_does_not_go_on_from_the_middle_of_a_step(
+def test_flow_interrupted_within_step_cannot_continue(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     solver = make_solver(0)
@@ -243,7 +243,7 @@ def test_a_forked_process_keeps_no_worker_alive_and_ends_none(tmp_path: Path) ->
     os.kill(left.pop(), signal.SIGKILL)
 
 
-def test_workers_find_classes_of_a_module_next_to_the_script_and_its_own_need_none(
+def test_workers_import_classes_of_modules_next_to_script(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "own_motion.py").write_text(OWN_CLASS)
