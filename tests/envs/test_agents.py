@@ -10,7 +10,6 @@ from torchrl.envs.utils import check_marl_grouping
 
 from fishrl.envs import FlowEnv, Flows, make_env
 from fishrl.envs.agents import EachFish, average_fish, split_fish
-from fishrl.modules import RandomPolicy
 from tests.envs.conftest import SMALL, make_flows, reset_rows
 from tests.envs.small_tasks import PairTask
 
@@ -57,18 +56,6 @@ def test_each_fish_has_its_own_command_and_reward(flows: FlowEnv) -> None:
     straight, turned = after["reward"].squeeze(-1)
     assert straight[0] == straight[1] > turned[0]
     torch.testing.assert_close(turned[0], turned[1])
-
-
-def test_partial_reset_keeps_stacks_and_returns_of_other_rows() -> None:
-    env = make_env(task=PairTask(**SMALL), flows=Flows(num_envs=2, compile=False))
-    before = env.rollout(2, policy=EachFish(RandomPolicy(seed=0)))[:, -1]["next"]
-    kept = before.select("agents", "done", "terminated", "truncated")
-    state = env.reset(kept.set("_reset", torch.tensor([[False], [True]])))["agents"]
-    for name in ("observation_stack", "episode_reward"):
-        assert torch.equal(state[name][0], before["agents", name][0])
-    assert (state["episode_reward"][1] == 0.0).all()
-    stacks = state["observation_stack"][1].unflatten(-1, (-1, 2))
-    assert (stacks == stacks[:, :1]).all()
 
 
 def test_diverged_flow_is_truncated_for_all_its_fish(flows: FlowEnv) -> None:

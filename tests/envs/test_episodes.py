@@ -43,34 +43,6 @@ def test_outcome_does_not_depend_on_number_of_rows(task: Predation, num_envs: in
     assert episodes.terminated.tolist()[0] and episodes.lengths[0] < episodes.lengths.max()
 
 
-def test_callbacks_say_which_start_each_row_runs(task: Predation) -> None:
-    env, starts = make(task, 2, frames_per_action=5), draw(task)
-    begun: list[int] = []
-    ran, frames = torch.zeros(NUM_STARTS), torch.zeros(NUM_STARTS)
-
-    def begin(start_of: Tensor, state: TensorDict) -> None:
-        rows = start_of >= 0
-        assert torch.equal(state["start_index"][rows], start_of[rows])
-        begun.extend(start_of[rows].tolist())
-
-    def count(start_of: Tensor, step: TensorDict) -> None:
-        ran[start_of[start_of >= 0]] += 1
-
-    def count_frame(start_of: Tensor, base: FlowEnv) -> None:
-        assert torch.equal(base.is_moving, start_of >= 0)
-        frames[start_of[start_of >= 0]] += 1
-
-    episodes = run_episodes(
-        env, keep_straight, starts, on_begin=begin, on_step=count, on_frame=count_frame
-    )
-    assert sorted(begun) == list(range(NUM_STARTS))
-    assert torch.equal(ran, episodes.lengths.float())
-    has_ended_early = episodes.terminated
-    assert torch.equal(frames[~has_ended_early], 5 * ran[~has_ended_early])
-    assert (frames[has_ended_early] < 5 * ran[has_ended_early]).all()
-    assert has_ended_early.any()
-
-
 class AtFood(Predation):
     """Reports success before the episode has ended."""
 

@@ -41,23 +41,6 @@ def test_partial_reset_changes_its_rows_alone(small_task: Predation) -> None:
     assert after["age_0"].tolist() == [106.0, 0.0, 106.0]
 
 
-def test_starts_of_a_row_do_not_depend_on_other_rows() -> None:
-    task = Predation(**SMALL, food_direction="random")
-    many, one = make_flows(task, 4, seed=5), make_flows(task, 1, seed=5)
-    for env in (many, one):
-        env.reset()
-    drawn = []
-    for rows in ((True, False, True, True), (True, True, True, True)):
-        assert (many.start[0] == one.start[0]).all()
-        drawn.append(many.start["head"].clone())
-        reset_rows(many, *rows)
-        one.reset()
-    other = make_flows(task, 4, seed=6)
-    other.reset()
-    assert not torch.equal(other.start["head"], drawn[0])
-    assert drawn[0].unique(dim=0).shape[0] == 4
-
-
 def test_set_seed_repeats_random_starts(small_task: Predation) -> None:
     env = make_flows(small_task, 3, seed=1)
     first, second = (env.reset()["observation"] for _ in range(2))

@@ -10,7 +10,6 @@ from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Predation
 from fishrl.envs.control import ContinuousFrequency, Turn
-from fishrl.envs.starts import place_fish, place_outline
 from fishrl.envs.tasks.food import LEAD_T
 from fishrl.modules import controllers
 from tests.envs.conftest import CONTINUOUS, SMALL, act, make_flows, starts_at
@@ -58,19 +57,6 @@ def test_range_of_starts_keeps_the_fish_clear_of_the_walls() -> None:
     assert y_low == 99 - y_high == 6  # 3 nodes, and 0.126 L of beating tail
     corners = starts_at(*((x / 20, y / 20) for x in (x_low, x_high) for y in (y_low, y_high)))
     task.check_starts(corners)
-
-
-def test_nose_of_a_placed_fish_is_at_its_start() -> None:
-    task = Predation(**SMALL)
-    for heading in (math.pi, 0.0, 0.7):
-        starts = starts_at((6.0, 2.5), heading=heading)
-        nose = place_outline(starts, task.fish)[0, 0]
-        torch.testing.assert_close(nose, starts["head"][0], atol=1e-9, rtol=0)
-        centre = place_fish(starts, task.fish)[0][0]
-        behind = starts["head"][0] - centre
-        # centroid of NACA0012, 0.41789 L from the nose
-        assert float(behind.norm()) / 20 == pytest.approx(0.41789, abs=1e-4)
-        assert math.atan2(behind[1], behind[0]) == pytest.approx(heading)
 
 
 @pytest.mark.parametrize(("direction", "ways"), [("random", {-1.0, 1.0}), ("down", {-1.0})])

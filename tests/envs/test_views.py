@@ -92,15 +92,6 @@ def test_every_key_of_a_scene_can_be_read(kind: str) -> None:
     assert values["speed"].max().item() == pytest.approx(corner, rel=1e-3)
 
 
-def test_danger_area_of_the_scene_is_the_tasks() -> None:
-    task = KarmanGait(**GAIT)
-    (area,) = [area for area in make_scene(task).areas if area.key == "danger_area"]
-    for x, y in (area.low, area.high, (area.low[0], area.high[1])):
-        place = torch.tensor([[x, y]], dtype=torch.float64) - torch.tensor(task.origin)
-        margin = task.safe_area.measure_margin(place / task.body_length)
-        assert margin.item() == pytest.approx(0.0, abs=1e-9)
-
-
 class AcrossStream(Predation):
     """Food in a stream along +y, set by the boundaries alone."""
 
