@@ -131,26 +131,26 @@ def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> No
     view.main.run(view.main.read(words))
 
 
-def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) -> Path:
+def write_page(folder: Path, stages: Mapping[str, Mapping[str, Any]], scale: Any) -> Path:
     """Write ``reproduction.md`` and ``reproduction.html`` with figures into the folder.
 
     Args:
-        folder: of the reproduction, all jobs finished.
-        jobs: from ``jobs.json``.
+        folder: of the reproduction, all stages finished.
+        stages: from ``stages.json``.
         scale: settings of all programs.
     """
-    runs = {arm: find_runs(jobs[arm]["words"][2:]) for arm in ("predation", *ARMS)}
+    runs = {arm: find_runs(stages[arm]["words"][2:]) for arm in ("predation", *ARMS)}
     draw(folder, runs, folder / "figures")
     transfer, fitted = read(folder / "transfer" / "transfer.json"), find_fitted(folder)
-    assert fitted is not None  # its job is finished
+    assert fitted is not None  # its stage is finished
     times = [read_run(path).summary["mean_time_to_success_T"] for path in runs["predation"]]
     captures = [time for time in times if time is not None]  # None without a capture
     machines = {
         f"{m['gpu'] or m['cpu']}, {m['cores']} cores, torch {m['torch']}"
-        for m in (job["machine"] for job in jobs.values())
+        for m in (stage["machine"] for stage in stages.values())
     }
-    hours = {name: job["seconds"] / 3600 for name, job in jobs.items()}
-    spent = [[name, jobs[name]["words"][0], f"{hours[name]:.2f}"] for name in jobs]
+    hours = {name: stage["seconds"] / 3600 for name, stage in stages.items()}
+    spent = [[name, stages[name]["words"][0], f"{hours[name]:.2f}"] for name in stages]
     shown = {name: figure["caption"] for name, figure in read_paper()["figures"].items()}
     parts = [
         f"# Reproduction, {scale.name}",
@@ -166,8 +166,8 @@ def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) 
         (folder / "transfer" / "transfer.md").read_text(encoding="utf-8"),
         "## Figures",
         *(f"![{text}](figures/{name})\n\n*{text}*" for name, text in shown.items()),
-        "## Jobs",
-        write_table(("job", "program", "hours"), spent),
+        "## Stages",
+        write_table(("stage", "program", "hours"), spent),
     ]
     text = "\n\n".join(part.strip() for part in parts) + "\n"
     write_whole(folder / "reproduction.md", text)

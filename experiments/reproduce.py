@@ -1,8 +1,8 @@
 """Reproduce the paper's tables and figures: ``python -m experiments.reproduce scale=small``.
 
-``scale=half`` and ``scale=paper`` do the same on finer grids. Each job is another program, run by
+``scale=half`` and ``scale=paper`` do the same on finer grids. Each stage is another program, run by
 the command that is printed. The same command continues after an interruption, also ``kill -9``;
-finished jobs are not repeated unless their settings change. ``plan=true`` only lists what is left.
+finished stages are repeated only if their settings change. ``plan=true`` lists the remaining ones.
 Tables and figures are written to ``reproduction.md`` and ``reproduction.html`` in the folder.
 """
 
@@ -75,7 +75,7 @@ class ReproduceSettings(Settings):
     Args:
         scale: what is run; ``scale.<entry>=<value>`` changes an entry.
         folder: folder for runs, tables and figures; by default runs/reproduction-<scale>.
-        plan: list the remaining jobs without running them.
+        plan: list the remaining stages without running them.
     """
 
     scale: Scale
@@ -89,32 +89,32 @@ class ReproduceSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class Stage:
     """A program to run."""
 
-    name: str  #: name of the job
+    name: str  #: name of the stage
     words: tuple[str, ...]  #: program and settings
     num_runs: int = 0  #: runs of a training, one per seed
 
 
-def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path) -> Job:
-    """Return the job that trains a policy with each seed; ValueError for wrong settings."""
+def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path) -> Stage:
+    """Return the stage that trains a policy with each seed; ValueError for wrong settings."""
     TRAINING.read(settings)
     seeds = f"seed={','.join(map(str, scale.seeds))}"
     words = ("train", "--multirun", *settings, seeds, f"folder={quote(str(folder / name))}")
-    return Job(name=name, words=words, num_runs=len(scale.seeds))
+    return Stage(name=name, words=words, num_runs=len(scale.seeds))
 
 
-def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
-    """Yield all jobs in order; later jobs use the results of earlier ones in the folder.
+def list_stages(scale: Scale, folder: Path) -> Iterator[Stage]:
+    """Yield all stages in order; later stages use the results of earlier ones in the folder.
 
     Raises:
         ValueError: for invalid settings of a training.
     """
     words = ("validate", "cases=[swimmer]", *scale.swimmer, f"folder={quote(f'{folder}/swimmer')}")
-    yield Job(name="swimmer", words=words)
+    yield Stage(name="swimmer", words=words)
     yield plan_training("predation", scale.predation, scale, folder)
-    yield Job(
+    yield Stage(
         name="classifier",
         words=(
             *("train-lateral-line", "paper_epochs=1000", *scale.lateral_line),
@@ -127,10 +127,10 @@ def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
     trained: list[Path] = []
     for arm, settings in ARM_SETTINGS.items():
         words = tuple(word.format(recognition=recognition) for word in settings)
-        job = plan_training(arm, [*scale.gait, *words], scale, folder)
-        yield job
-        trained += find_runs(job.words[2:]) if (folder / arm).is_dir() else []
-    yield Job(
+        stage = plan_training(arm, [*scale.gait, *words], scale, folder)
+        yield stage
+        trained += find_runs(stage.words[2:]) if (folder / arm).is_dir() else []
+    yield Stage(
         name="transfer",
         words=(
             *("transfer", f"runs=[{','.join(quote(str(run)) for run in trained)}]"),
@@ -149,7 +149,7 @@ class _Machine(Stored):
 
 
 class _Entry(Stored):
-    """Entry of a job in ``jobs.json``."""
+    """Entry of a stage in ``stages.json``."""
 
     words: Annotated[list[str], Field(min_length=1)]
     seconds: NonNegativeFloat
@@ -158,35 +158,35 @@ class _Entry(Stored):
 
 
 class Record:
-    """The jobs that have run in a folder, stored in ``jobs.json``."""
+    """The stages that have run in a folder, stored in ``stages.json``."""
 
     def __init__(self, folder: Path) -> None:
-        self.path = folder / "jobs.json"
-        self.jobs: dict[str, dict[str, Any]] = {}
+        self.path = folder / "stages.json"
+        self.stages: dict[str, dict[str, Any]] = {}
         if self.path.is_file():
             stored = read_plain(self.path, dict[str, _Entry], what="the record of a reproduction")
-            self.jobs = {name: entry.model_dump() for name, entry in stored.items()}
+            self.stages = {name: entry.model_dump() for name, entry in stored.items()}
 
-    def is_finished(self, job: Job) -> bool:
-        """Return whether a job is finished with these settings and its runs exist."""
-        entry = self.jobs.get(job.name)
-        if entry is None or not entry["is_finished"] or entry["words"] != list(job.words):
+    def is_finished(self, stage: Stage) -> bool:
+        """Return whether a stage is finished with these settings and its runs exist."""
+        entry = self.stages.get(stage.name)
+        if entry is None or not entry["is_finished"] or entry["words"] != list(stage.words):
             return False
-        runs = find_runs(job.words[2:]) if job.num_runs else []
-        return sum(read_run(run).status == "finished" for run in runs) == job.num_runs
+        runs = find_runs(stage.words[2:]) if stage.num_runs else []
+        return sum(read_run(run).status == "finished" for run in runs) == stage.num_runs
 
-    def note(self, job: Job, *, seconds: float, is_finished: bool) -> None:
-        """Add to the time that a job has taken."""
-        entry = self.jobs.get(job.name, {})
-        spent = entry.get("seconds", 0.0) if entry.get("words") == list(job.words) else 0.0
+    def note(self, stage: Stage, *, seconds: float, is_finished: bool) -> None:
+        """Add to the time that a stage has taken."""
+        entry = self.stages.get(stage.name, {})
+        spent = entry.get("seconds", 0.0) if entry.get("words") == list(stage.words) else 0.0
         machine = describe_machine()
-        self.jobs[job.name] = {
-            "words": list(job.words),
+        self.stages[stage.name] = {
+            "words": list(stage.words),
             "seconds": spent + seconds,
             "is_finished": is_finished,
             "machine": {name: machine[name] for name in ("cpu", "cores", "gpu", "torch")},
         }
-        write_json(self.path, self.jobs)
+        write_json(self.path, self.stages)
 
 
 @contextmanager
@@ -197,9 +197,9 @@ def alone(folder: Path) -> Iterator[int]:
         yield file.fileno()
 
 
-def run_job(job: Job, record: Record, lock: int) -> None:
-    """Run a job; ValueError if it fails."""
-    name, *words = job.words
+def run_stage(stage: Stage, record: Record, lock: int) -> None:
+    """Run a stage; ValueError if it fails."""
+    name, *words = stage.words
     command = ["fishrl", name] if name in list_programs() else [f"experiments.{name}"]
     print(f"\n{show_command(command[-1], *words)}", flush=True)
     began = time.monotonic()
@@ -211,26 +211,26 @@ def run_job(job: Job, record: Record, lock: int) -> None:
         child.wait()
         raise
     finally:
-        record.note(job, seconds=time.monotonic() - began, is_finished=child.returncode == 0)
+        record.note(stage, seconds=time.monotonic() - began, is_finished=child.returncode == 0)
     if child.returncode:
-        raise ValueError(f"{job.name} ended with status {child.returncode}; repeat the command")
+        raise ValueError(f"{stage.name} ended with status {child.returncode}; repeat the command")
 
 
 @program(groups={"scale": "small"}, conf=Path(__file__).parent / "conf")
 def main(settings: ReproduceSettings) -> None:
-    """Run what is left, and write the page."""
+    """Run the remaining stages and write the page."""
     scale, folder = settings.scale, settings.path
     folder.mkdir(parents=True, exist_ok=True)
     with alone(folder) as lock:
         record = Record(folder)
-        left = [job.name for job in list_jobs(scale, folder) if not record.is_finished(job)]
+        left = [stage.name for stage in list_stages(scale, folder) if not record.is_finished(stage)]
         print(f"left: {', '.join(left) or 'nothing'}")
         if settings.plan:
             return
-        for job in list_jobs(scale, folder):
-            if not record.is_finished(job):
-                run_job(job, record, lock)
-        print(f"written: {write_page(folder, record.jobs, scale)}")
+        for stage in list_stages(scale, folder):
+            if not record.is_finished(stage):
+                run_stage(stage, record, lock)
+        print(f"written: {write_page(folder, record.stages, scale)}")
 
 
 if __name__ == "__main__":

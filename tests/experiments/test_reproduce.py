@@ -1,4 +1,4 @@
-"""The jobs of a reproduction: valid commands, each run once."""
+"""The stages of a reproduction: valid commands, each run once."""
 
 import os
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from experiments import paper, reproduce
-from experiments.reproduce import Job, Record, list_jobs, run_job
+from experiments.reproduce import Record, Stage, list_stages, run_stage
 from fishrl.__main__ import list_programs
 from fishrl.physics import ImmersedBoundary
 from fishrl.programs.sweeps.jobs import plan_jobs
@@ -18,12 +18,12 @@ from fishrl.training.run_folder import write_json
 
 
 @pytest.mark.parametrize("name", reproduce.main.command_line.list_choices()["scale"])
-def test_jobs_of_scale_are_valid_commands(name: str, tmp_path: Path) -> None:
+def test_stages_of_scale_are_valid_commands(name: str, tmp_path: Path) -> None:
     scale = replace(reproduce.main.read([f"scale={name}"]).scale, seeds=(0,))
-    jobs = list(list_jobs(scale, tmp_path))
-    assert len({job.name for job in jobs}) == len(jobs)
-    for job in jobs:
-        program, *words = job.words
+    stages = list(list_stages(scale, tmp_path))
+    assert len({stage.name for stage in stages}) == len(stages)
+    for stage in stages:
+        program, *words = stage.words
         if words[0] == "--multirun":
             (plan,) = [planned.settings for planned in plan_jobs(words[1:])]
         else:
@@ -35,11 +35,11 @@ def test_jobs_of_scale_are_valid_commands(name: str, tmp_path: Path) -> None:
 
 def begin(words: Sequence[str]) -> Path:
     """Make the folder of the only run of a sweep."""
-    (job,) = plan_jobs(words)
-    return open_run(job.settings).enter().folder.path
+    (stage,) = plan_jobs(words)
+    return open_run(stage.settings).enter().folder.path
 
 
-def test_jobs_use_results_of_earlier_jobs(tmp_path: Path) -> None:
+def test_stages_use_results_of_earlier_jobs(tmp_path: Path) -> None:
     for number, name in enumerate(("classifier-10", "classifier-2", "classifier")):
         (tmp_path / name).mkdir()
         if name != "classifier":  # whose fit is not finished
@@ -47,7 +47,7 @@ def test_jobs_use_results_of_earlier_jobs(tmp_path: Path) -> None:
             os.utime(tmp_path / name / "lateral_line.json", (number, number))
     assert paper.find_fitted(tmp_path) == tmp_path / "classifier-2"
     scale = reproduce.main.read(["scale=tiny"]).scale
-    ablation = next(job for job in list_jobs(scale, tmp_path) if job.name == "ablation")
+    ablation = next(stage for stage in list_stages(scale, tmp_path) if stage.name == "ablation")
     record = Record(tmp_path)
     record.note(ablation, seconds=1.0, is_finished=True)
     assert not record.is_finished(ablation)  # its run is missing
@@ -55,19 +55,19 @@ def test_jobs_use_results_of_earlier_jobs(tmp_path: Path) -> None:
     assert not record.is_finished(ablation)
     write_json(run / "summary.json", {"frames": 16})
     assert record.is_finished(ablation)
-    words = {job.name: job.words for job in list_jobs(scale, tmp_path)}
+    words = {stage.name: stage.words for stage in list_stages(scale, tmp_path)}
     assert f"runs=[{run}]" in words["transfer"]
     assert f"recognition.path={tmp_path / 'classifier-2' / 'classifier.pt'}" in words["both"]
 
 
-def test_finished_job_is_repeated_only_if_settings_change(tmp_path: Path) -> None:
-    job = Job(name="summary", words=("benchmarks.machine",))  # a module without a program
+def test_finished_stage_is_repeated_only_if_settings_change(tmp_path: Path) -> None:
+    stage = Stage(name="summary", words=("benchmarks.machine",))  # a module without a program
     with reproduce.alone(tmp_path) as lock:
-        run_job(job, Record(tmp_path), lock)
-        failing = Job(name="failing", words=("nothing",))
+        run_stage(stage, Record(tmp_path), lock)
+        failing = Stage(name="failing", words=("nothing",))
         with pytest.raises(ValueError, match="status 1"):
-            run_job(failing, Record(tmp_path), lock)
+            run_stage(failing, Record(tmp_path), lock)
     record = Record(tmp_path)
-    assert record.is_finished(job) and record.jobs["summary"]["seconds"] > 0
-    assert not record.is_finished(replace(job, words=(*job.words, "elsewhere")))
+    assert record.is_finished(stage) and record.stages["summary"]["seconds"] > 0
+    assert not record.is_finished(replace(stage, words=(*stage.words, "elsewhere")))
     assert not record.is_finished(failing)
