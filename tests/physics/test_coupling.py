@@ -21,7 +21,7 @@ from fishrl.physics.skins.immersed_boundary import (
     locate_bodies,
     spread,
 )
-from tests.physics.flows import ONE, advance, place_body, start_solver, start_stream
+from tests.physics.flows import advance, place_body, start_solver, start_stream
 
 CENTRE = 30.3, 29.6
 SCALES = Scales.from_budget(body_length=20, reynolds=500.0, max_wall_speed=0.1)
@@ -108,18 +108,6 @@ def test_no_torque_does_work_on_a_free_fish(density_ratio: float, skin: Skin, sh
     (body,) = advance(start_stream(config, body), config, 60).bodies
     assert abs(float(body.angular_velocity)) > 1e-5
     assert abs(float(body.torque_work)) < share * abs(float(body.work))
-
-
-@pytest.mark.parametrize("skin", [ImmersedBoundary(), BounceBack()])
-def test_passive_fish_drifts_with_stream_in_single_precision(skin: Skin) -> None:
-    config = make_box(Fish(body_length=24, motion=Commanded()), skin=skin, stream_speed=0.05)
-    centre = torch.tensor([CENTRE], dtype=torch.float64)
-    solver = start_solver(config, centre, 0.7 * ONE, velocity=(1.0, -0.4))
-    for steps in (2, 40):
-        solver.advance_(steps)
-        drift = (solver.body.position - centre)[0] / solver.body.age
-        assert drift.tolist() == pytest.approx([0.05, -0.02], abs=1e-6)
-    assert float(solver.body.hydro_force.abs().max()) < 1e-5
 
 
 @pytest.mark.parametrize("size", [8, 16])

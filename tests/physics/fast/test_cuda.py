@@ -96,7 +96,7 @@ def compute_error(there: Tensor, here: Tensor) -> float:
         pytest.param([80, 80, 80], 1e-4, id="240 steps", marks=LONG),
     ],
 )
-def test_gpu_flow_equals_cpu_flow(name: str, parts: list[int], tolerance: float) -> None:
+def test_flow_on_a_gpu_equals_that_on_a_cpu(name: str, parts: list[int], tolerance: float) -> None:
     """In parts, so that graphs are recorded and replayed."""
     there = make_solver(name, device="cuda", compile=True)
     here = make_solver(name, device="cpu", compile=False)
