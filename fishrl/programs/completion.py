@@ -17,7 +17,7 @@ from fishrl.settings import REQUIRED, to_plain
 
 
 def answer(programs: Collection[str]) -> None:
-    """Do what the command line of this process asks: install, uninstall or complete."""
+    """Install or uninstall completion, or complete, as the command line of this process says."""
     asked = sys.argv[1:]
     line = os.environ.get("COMP_LINE", "")
     words = [*line.split(), ""] if line.endswith(" ") else line.split()

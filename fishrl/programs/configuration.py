@@ -120,7 +120,7 @@ class CommandLine:
 
     @contextmanager
     def use_hydra(self) -> Iterator[None]:
-        """Let hydra find the YAML files inside, and turn its errors into ValueErrors of a line."""
+        """Give hydra the folder of YAML files; turn its errors into one-line ValueErrors."""
         try:
             with initialize_config_dir(str(CONF), version_base="1.3"):
                 yield
@@ -177,7 +177,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def split_options(arguments: Sequence[str]) -> argparse.Namespace:
-    """Return the options of a command line, named as hydra's, and its ``overrides``."""
+    """Split a command line into its options, named as hydra's, and ``overrides``."""
     parser = _Parser(add_help=False, allow_abbrev=False)
     parser.add_argument("overrides", nargs="*")
     parser.add_argument("--config-dir", "-cd")
@@ -188,7 +188,7 @@ def split_options(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def run_hydra(run: Callable[[DictConfig], None], name: str | None, words: Sequence[str]) -> None:
-    """Hand a command line, as ``CommandLine.prepare`` writes it, to hydra.
+    """Run hydra on a command line written by ``CommandLine.prepare``.
 
     Args:
         run: called with what hydra composes.
@@ -201,7 +201,7 @@ def run_hydra(run: Callable[[DictConfig], None], name: str | None, words: Sequen
 
 
 def quote(value: str) -> str:
-    """Write a value so that hydra reads it as it is: a plain path bare, others in quotes."""
+    """Quote a value so that hydra reads it verbatim; a plain path needs no quotes."""
     if re.fullmatch(r"[\w.+-]*/[\w./+-]*", value, re.ASCII):
         return value
     value = re.sub(r"(\\*)\$\{", r"\1\1\\${", value)  # no interpolation
@@ -209,7 +209,7 @@ def quote(value: str) -> str:
 
 
 def read_value(value: str, *, is_text: bool = False) -> str:
-    """Return a value as it was typed, in quotes where hydra would take a word for an expression.
+    """Quote a typed value where hydra would read an expression instead of a string.
 
     Args:
         value: what follows ``key=``; ``~/`` is the home folder.
@@ -247,7 +247,7 @@ def explain(error: Exception) -> ValueError:
 
 
 def unknown(word: str, known: Sequence[str]) -> ValueError:
-    """Return the error for an unknown word, with the nearest right one or all that there are."""
+    """Return the error for an unknown word, with the nearest known one or the whole list."""
     near = suggest(word, known) or f". There is: {', '.join(known)}"
     return ValueError(f"there is no {word!r}{near}")
 
@@ -263,7 +263,7 @@ def list_modules(node: Any) -> Iterator[str]:
 
 
 def _search_modules(folder: str | None, groups: Iterable[str]) -> Iterator[str]:
-    """List the modules that YAML files of groups in a folder of the user name."""
+    """List the modules that the user's YAML files name."""
     for group in groups if folder else ():
         for path in Path(str(folder), group).expanduser().rglob("*.yaml"):
             text = path.read_text(encoding="utf-8")
@@ -271,7 +271,7 @@ def _search_modules(folder: str | None, groups: Iterable[str]) -> Iterator[str]:
 
 
 def _select(node: Any, key: str) -> Any:
-    """Return the value of a dotted key, None where there is none."""
+    """Return the value of a dotted key, or None."""
     for name in key.split("."):
         node = node.get(name) if isinstance(node, Mapping) else None
     return node

@@ -108,7 +108,7 @@ def main(
     preset: str | None = None,
     **given: Any,
 ) -> None:
-    """Simulate and write.
+    """Simulate an episode and write its fields.
 
     Args:
         save: file or folder to write, ending in ``.nc``, ``.zarr`` or ``.pvd``.

@@ -35,7 +35,7 @@ def main(
     preset: str | None = None,
     **given: Any,
 ) -> None:
-    """Record, write and say what.
+    """Record episodes and write them as a dataset.
 
     Args:
         name: identifier of the dataset, ``(<namespace>/)<name>-v<version>``.

@@ -42,7 +42,7 @@ def send(folder: Path, repository: str) -> str:
 
 @program(export_policy, without=("revision",))
 def main(*, upload: str | None = None, **given: Any) -> None:
-    """Export and say where.
+    """Export the policy of a run, and upload it if asked.
 
     Args:
         upload: repository of the Hugging Face Hub to upload the folder to, ``<user>/<name>``; it is

@@ -14,7 +14,7 @@ from fishrl.viewer.recording import Recorder
 
 
 class LiveView(Callback):
-    """Streams some of ``num_flows`` flows to a viewer on this machine if the settings say so.
+    """Streams some of ``num_flows`` flows to a viewer on this machine if ``live`` is set.
 
     Episodes follow each other on one clock. It reads the flows and changes nothing.
 
@@ -68,7 +68,7 @@ class LiveView(Callback):
             self._spent += time.monotonic() - start
 
     def on_step(self, step: TensorDictBase) -> None:
-        """Show the frames of a decision that is over; ``step`` ``[B]`` as the env returns it."""
+        """Show the frames of a finished decision; ``step`` ``[B]`` as the env returns it."""
         if self._server is None:
             return
         start = time.monotonic()

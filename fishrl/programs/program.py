@@ -173,7 +173,7 @@ def take(kind: type[S], given: dict[str, Any]) -> S:
 
 
 def _list_settings(key: str, value: Any, text: str, hint: Any) -> Iterator[str]:
-    """List a setting and those below it, each with its meaning, and the words for an object."""
+    """List a setting and the settings of its object, with their meanings."""
     if len(words := list_words(hint)) > 1:
         text = f"{text} ({key}={'|'.join(words)})"
     plain = "???" if value is REQUIRED else to_plain(value)
@@ -215,7 +215,7 @@ def read_arguments(kind: type) -> dict[str, str]:
 
 
 def set_up_logging() -> None:
-    """Print log lines above the progress bar, of TorchRL only warnings."""
+    """Print log lines above the progress bar; TorchRL logs warnings only."""
     level = os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # for other processes, too
     logging.getLogger("torchrl").setLevel(level)
     logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[_AboveBar()])
@@ -228,7 +228,7 @@ class _AboveBar(logging.Handler):
 
 
 def show_command(program: str, *arguments: str) -> str:
-    """Return the command that runs a program with this Python, as typed here.
+    """Return the shell command that runs a program with this Python in this folder.
 
     Args:
         program: one of ``fishrl``, such as ``train``, or a module like ``experiments.validate``.
@@ -270,7 +270,7 @@ def plain_errors() -> Iterator[None]:
 
 
 def _find_line(error: Exception) -> str:
-    """Return the line of a user's own file that an error comes from; nothing if it is ours."""
+    """Return the line of the user's file that raised an error; nothing for errors of fishrl."""
     root = Path(__file__).parents[2]
     ours = [root / "experiments", root / "fishrl"]
     libraries = [Path(path) for name, path in sysconfig.get_paths().items() if "lib" in name]

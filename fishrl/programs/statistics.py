@@ -26,7 +26,7 @@ class Interval:
     high: float
 
     def show(self, form: str) -> str:
-        """Write it such as "+1.5 [-0.5, +3.5]"; a dash for NaN."""
+        """Format as "+1.5 [-0.5, +3.5]"; a dash for NaN."""
         if math.isnan(self.value):
             return "–"
         value = format(self.value, form)
@@ -57,7 +57,7 @@ def find_mean(values: Sequence[float]) -> Interval:
 
 
 def find_share(successes: int, total: int) -> Interval:
-    """Return a share with Wilson's interval, which respects 0 and 1."""
+    """Return a proportion with Wilson's interval, which lies within 0 and 1."""
     from scipy import stats
 
     interval = stats.binomtest(successes, total).proportion_ci(method="wilson")

@@ -125,7 +125,7 @@ def tabulate_groups(groups: Sequence[Group]) -> str:
 
 
 def tabulate_differences(groups: Sequence[Group]) -> str:
-    """Return the first group minus each other one, paired by seed; bold if it is not zero.
+    """Return differences from the first group, paired by seed; significant ones in bold.
 
     The last column is the probability that the first one's learning curve has the greater mean.
     """

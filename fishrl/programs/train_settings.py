@@ -37,13 +37,13 @@ class TrainConfig(ViewerSettings, Plan):
         return super().path if self.resume is None else Path(self.resume).expanduser()
 
     def to_config(self) -> dict[str, Any]:
-        """Return the settings without those that only say how the program was started."""
+        """Return the settings without ``resume`` and ``modules``."""
         config = super().to_config()
         return {name: config[name] for name in config if name not in ("resume", "modules")}
 
 
 def read_resumed(given: Node) -> Node:
-    """Return the settings of the run that ``resume`` names, if none that is fixed is given."""
+    """Return the settings of the run that ``resume`` names; fixed ones must not be given."""
     if given.get("resume") is None:
         return {}
     folder = RunFolder.of_existing(str(given["resume"]))

@@ -49,7 +49,7 @@ def record(
     callback: Callback,
     **given: Any,
 ) -> list[str]:
-    """Run a policy from fixed starts; its flows go to a file, and to a viewer's server at a URL.
+    """Run a policy from fixed starts; write its flows to a file and stream them to a URL.
 
     ``given`` are arguments of ``prepare``.
 

@@ -36,7 +36,7 @@ class Role(Enum):
 
 
 class FieldErrors(ValueError):
-    """Fields that do not fit: a line for each, which begins with its name."""
+    """Invalid fields: a line for each, which begins with its name."""
 
 
 @dataclass_transform(

@@ -73,7 +73,7 @@ def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def find_main() -> str:
-    """Return the name under which other programs can import the script that runs."""
+    """Return the importable name of the running script."""
     main = sys.modules["__main__"]
     if (spec := getattr(main, "__spec__", None)) is not None:
         return str(spec.name)
@@ -105,7 +105,7 @@ def build(kind: type[T] | tuple[type[T], ...], node: Any, *, modules: Collection
 
 
 def _refuse(key: str, known: Sequence[str]) -> str:
-    """Return the error for an unknown key, with the nearest right one or what there is."""
+    """Return the error for an unknown key, with the nearest known one or the whole list."""
     place = key.rpartition(".")[0]
     here = [name.rpartition(".")[2] for name in known if name.rpartition(".")[0] == place]
     there = f". There is: {', '.join(here)}" if here else ""

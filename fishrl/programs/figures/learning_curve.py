@@ -130,7 +130,7 @@ def draw_curves(
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> object:
-    """Draw a curve with its band; a long one without as a running mean over a faint original."""
+    """Draw a curve and its band; a long curve without a band is drawn with its running mean."""
     _, x, y, band, number = curve
     colour, marker = COLOURS[number % len(COLOURS)], ""
     dashes = DASHES[number // len(COLOURS) % len(DASHES)]

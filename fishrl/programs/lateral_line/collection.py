@@ -55,7 +55,7 @@ class CollectionSettings(Settings):
 
     @property
     def recorded_task(self) -> Any:
-        """The task that records every feature of every neuromast."""
+        """Task that records every feature of every neuromast."""
         task: Any = self.task
         has_labels = isinstance(task, HasFlowLabels) and len(task.flow_labels) > 1
         if not (has_labels and task.lateral_line_layout):
@@ -74,14 +74,14 @@ class CollectionSettings(Settings):
 
     @property
     def place(self) -> Path:
-        """Folder of the data, another one whenever they may differ."""
+        """Folder of the data, named by a hash of everything that determines them."""
         settings = (self.recorded_task, self.flows.num_envs, self.max_decisions, self.seed)
         key = make_key(*settings, hash_sources(*_SOURCES), torch.__version__)
         return Path(self.data_folder).expanduser() / key
 
 
 def collect(settings: CollectionSettings, progress: Callback = SILENT) -> TensorDict:
-    """Collect episodes until they hold ``num_samples`` decisions, or read those of before.
+    """Collect episodes until they hold ``num_samples`` decisions, or read stored ones.
 
     Returns:
         TensorDict ``[E, D]`` of E episodes and at most D decisions: ``lateral_line``
@@ -114,7 +114,7 @@ def collect(settings: CollectionSettings, progress: Callback = SILENT) -> Tensor
 
 
 def record_piece(env: TransformedEnv, number: int, *, seed: int) -> TensorDict:
-    """Return the episodes ``[B, D]`` of a piece; they depend on env, seed and number alone."""
+    """Return the episodes ``[B, D]`` of a piece, which depend on env, seed and number only."""
     task, num = env.base_env.task, env.batch_size[0]
     num_flows = len(task.flow_labels)
     # a CPU generator has a seed of 32 bits; these differ from those of training and evaluation

@@ -87,7 +87,7 @@ class LateralLineSettings(CollectionSettings, FitSettings):
 
 
 def mirror(signal: Tensor, *, features: Sequence[str], middle_bl: float) -> Tensor:
-    """Return the signal ``[N, W, P, F]`` of the mirror image of a fish in that of its flow.
+    """Return the signal ``[N, W, P, F]`` of a fish and flow mirrored along the stream.
 
     Flow, disc and fish are symmetric about y = ``middle_bl``, so the image is as valid a sample as
     the original; a learned heading controller, which need not be symmetric, is mirrored with them.
@@ -107,7 +107,7 @@ def mirror(signal: Tensor, *, features: Sequence[str], middle_bl: float) -> Tens
 
 
 def cut_windows(episodes: TensorDictBase, *, num_samples: int) -> TensorDict:
-    """Cut the signal of each episode into windows, one that ends at each of its samples.
+    """Cut the signal of each episode into windows, one ending at each sample.
 
     Before the start the first sample is repeated, as the environment does. ``episodes`` are
     ``[E, D]`` as ``collect`` returns.

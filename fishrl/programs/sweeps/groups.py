@@ -24,7 +24,7 @@ class Group:
 
     @property
     def label(self) -> str:
-        """The settings in one line."""
+        """Settings in one line."""
         known = {key: value for key, value in self.settings.items() if value != "–"}
         words = (v if k.endswith("_target_") else f"{k} {v}" for k, v in known.items())
         return ", ".join(words) or "all"
@@ -41,11 +41,11 @@ class Group:
 
     @property
     def finished(self) -> list[Run]:
-        """The runs that count in the tables."""
+        """Finished runs, one per seed."""
         return [run for run in self.seeds if run.status == "finished"]
 
     def by_seed(self, name: str) -> dict[str, float]:
-        """Return an entry of the summaries of the finished runs by seed, where it is a number."""
+        """Return a numeric entry of the summaries by seed."""
         entries: dict[str, Any] = {run.seed: run.summary.get(name) for run in self.finished}
         return {seed: float(value) for seed, value in entries.items() if is_number(value)}
 
@@ -55,7 +55,7 @@ class Group:
 
 
 def group_runs(runs: Sequence[Run]) -> list[Group]:
-    """Put runs together that differ only in seed and harmless settings, in the order they come in.
+    """Group runs that differ only in seed and harmless settings, in order of appearance.
 
     Each group is labelled by the fewest settings that distinguish all groups; those that follow
     from others, such as what a preset sets, are left out. So are runs that never began.
@@ -93,7 +93,7 @@ def _find_distinguishing(flat: Sequence[Mapping[str, str]]) -> list[str]:
 
 
 def _settings_of(run: Run) -> dict[str, str]:
-    """Return the settings of a run, with its classifier named by content instead of by file."""
+    """Return the settings of a run; a classifier is identified by its content."""
     flat = {
         key: str(value).rpartition(".")[2] if key.endswith(TARGET) else str(value)
         for key, value in flatten(run.config).items()

@@ -65,7 +65,7 @@ class Launch:
     swept: frozenset[str]  #: keys that differ between jobs
 
     def plan(self, overrides: Sequence[str]) -> Job:
-        """Return the job with these overrides, named after those that differ."""
+        """Return the job with these overrides, named after the swept ones."""
         name = name_job([line for line in overrides if line.partition("=")[0] in self.swept])
         words = [*self.options, *overrides, f"name={name}"]
         return Job(TRAINING.read(words), words)
@@ -110,7 +110,7 @@ def plan_jobs(arguments: Sequence[str]) -> list[Job]:
 
 
 def find_runs(arguments: Sequence[str]) -> list[Path]:
-    """Return the folders of those runs of a sweep that have begun."""
+    """Return the folders of the runs of a sweep that have begun."""
     return sorted(job.path for job in plan_jobs(arguments) if RunFolder(job.path).config.is_file())
 
 
@@ -143,7 +143,7 @@ def _plan(arguments: Sequence[str]) -> tuple[Launch, list[Job]]:
 
 
 def name_job(overrides: Sequence[str]) -> str:
-    """Name a run after the ``key=value`` that distinguish it from the others of its sweep."""
+    """Name a run after the ``key=value`` in which the runs of a sweep differ."""
     parts = []
     for override in overrides:
         key, _, value = override.lstrip("+").partition("=")
