@@ -26,8 +26,8 @@ from fishrl.settings import Settings
 NAMES = (
     *("taylor_green", "poiseuille", "cavity", "invariance", "slip", "channel_cylinder"),
     *("free_cylinder", "d_cylinder", "edges", "outflow", "oscillating_cylinder"),
-    *("rotating_cylinder", "settling_disc", "sheared_ellipse", "swimmer", "sharp_swimmer"),
-    "energy_budget",
+    *("conservation", "rotating_cylinder", "settling_disc", "sheared_ellipse", "swimmer"),
+    *("sharp_swimmer", "energy_budget"),
     *("gaits", "turning", "pitching_pair", "c_start", "compressibility", "stability"),
 )
 CASES: tuple[Case, ...] = tuple(
