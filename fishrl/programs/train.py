@@ -93,13 +93,14 @@ def main(settings: TrainConfig) -> None:
         print(f"{settings.path}: already finished; total_frames=... extends it")
         return
     with Progress() as progress:
-        training = Training(opened, callbacks=[progress, RunCallback(settings, progress)])
+        view = RunCallback(settings, progress)
+        training = Training(opened, callbacks=[progress, view])
         folder = training.folder.path
         hint = f"resume with: {show_resume(folder, settings.modules)}"
         try:
             summary = complete(training)
         except Interrupted as end:
-            frames = Checkpoint.find(folder, which="last").frames
+            frames = Checkpoint.read(training.folder.last).frames
             print(f"{end}: saved at frame {frames}; {hint}", file=sys.stderr)
             sys.exit(128 + end.number)
         except KeyboardInterrupt as end:

@@ -21,7 +21,7 @@ from torchrl import checkpoint as torchrl_checkpoint
 from fishrl.files import load_tensors, write_whole
 from fishrl.training.policy_spec import CHECKED, PolicySpec
 from fishrl.training.recognition import locate
-from fishrl.training.run_folder import Count, Stored, Tree, read_plain, refuse_many
+from fishrl.training.run_folder import Count, RunFolder, Stored, Tree, read_plain, refuse_many
 from fishrl.zoo import find_folder
 
 MANIFEST, SUMS = "manifest.json", "SHA256SUMS"
@@ -122,24 +122,29 @@ class Checkpoint:
     manifest: _Manifest  #: its components and metadata
 
     @classmethod
-    def find(cls, path: str | Path, *, which: str = "best") -> Self:
-        """Find a checkpoint and read its manifest.
+    def find(cls, path: str | Path) -> Self:
+        """Read a checkpoint, ``zoo/<name>``, or the best one of a run folder (else the last).
 
-        ``path`` is a checkpoint, ``zoo/<name>`` (see ``fishrl.zoo``), or a run folder, in which
-        ``which`` selects ``best`` (if missing, the last) or ``last``.
+        Errors are those of ``read``.
+        """
+        folder = find_folder(path)
+        if (folder / "config.yaml").is_file() or (folder / "checkpoints").is_dir():
+            run = RunFolder(folder)
+            return cls.read(run.best if _list_complete(run.best) else run.last)
+        return cls.read(folder)
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read the manifest of a checkpoint.
 
         Raises:
             ValueError: if it is missing or corrupt.
         """
-        folder = find_folder(path)
-        if (folder / "config.yaml").is_file() or (folder / "checkpoints").is_dir():
-            folder = folder / "checkpoints"
-            folder /= which if _list_complete(folder / which) else "last"
-        found = next(iter(_list_complete(folder)), folder)
+        found = next(iter(_list_complete(path)), path)
         refuse_many(found, setting="checkpoint")
         if not any((found / name).is_file() for name in (MANIFEST, SUMS)):
             raise ValueError(
-                f"checkpoint {folder}: there is none; give the folder of a run, or one of its "
+                f"checkpoint {path}: there is none; give the folder of a run, or one of its "
                 "checkpoints/best and checkpoints/last"
             )
         try:

@@ -55,6 +55,7 @@ class Training:
         self.folder, self.plan, self.task = opened.folder, opened.plan, opened.task
         self.counters, self.interruption = Counters(), interruption or Interruption()
         self.callbacks, self._lock = join(callbacks), self.folder.hold()
+        write_yaml(self.folder.config, opened.stored | self.plan.to_config())
         logger.info("run folder: %s", self.folder.path)
         if self.plan.total_frames <= self.plan.warmup_frames:
             logger.warning(
@@ -68,7 +69,6 @@ class Training:
             if opened.checkpoint is not None:
                 self._restore(opened.checkpoint)
             self.folder.summary.unlink(missing_ok=True)  # it will be replaced
-            write_yaml(self.folder.config, opened.stored | self.plan.to_config())
 
     def _set_up(self) -> None:
         """Make the learner and the flows."""
@@ -188,7 +188,7 @@ class Training:
     def _finish(self) -> dict[str, Any]:
         """Evaluate the best policy and the baselines; write and return the summary."""
         counters, actor = self.counters, self.learner.actor
-        best = Checkpoint.find(self.folder.path, which="best")
+        best = Checkpoint.find(self.folder.path)
         self._load(best, {"actor": actor})
         summary = self._compare() | {
             "task": type(self.task).__name__,

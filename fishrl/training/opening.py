@@ -18,7 +18,7 @@ from fishrl.training.baselines import choose_baselines
 from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.run_folder import RunFolder, read_config, read_summary, write_yaml
+from fishrl.training.run_folder import RunFolder, read_config, read_summary
 
 #: Settings that a run keeps when it continues, regardless of the settings given.
 _OWN = ("recognition", "logger", "folder", "name")
@@ -109,9 +109,7 @@ class Opened:
         folder = RunFolder.create(parent=plan.folder, name=plan.folder_name, reuse=is_named)
         if plan.recognition is not None:
             plan = replace(plan, recognition=plan.recognition.keep(folder.path))
-        config = plan.to_config()
-        write_yaml(folder.config, config)
-        return replace(self, plan=plan, folder=folder, stored=config)
+        return replace(self, plan=plan, folder=folder, stored=plan.to_config())
 
 
 def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
@@ -150,7 +148,7 @@ def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
             return replace(opened, summary=summary)
     if not folder.checked().has_begun():
         return opened
-    checkpoint = Checkpoint.find(folder.path, which="last")
+    checkpoint = Checkpoint.read(folder.last)
     _refuse_other(plan, Plan.from_config(checkpoint.config), checkpoint.path)  # it has a checksum
     return replace(opened, checkpoint=checkpoint)
 

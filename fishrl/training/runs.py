@@ -101,7 +101,7 @@ def complete(training: Training) -> dict[str, Any]:
             except ChildProcessError as error:
                 if not folder.last.exists():  # it died before the first checkpoint
                     raise
-                checkpoint = Checkpoint.find(folder.path, which="last")
+                checkpoint = Checkpoint.read(folder.last)
                 if checkpoint.frames == resumed_at:
                     raise
                 resumed_at = checkpoint.frames

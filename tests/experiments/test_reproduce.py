@@ -13,8 +13,8 @@ from experiments.reproduce import Record, Stage, list_stages, run_stage
 from fishrl.__main__ import list_programs
 from fishrl.physics import ImmersedBoundary
 from fishrl.programs.sweeps.jobs import plan_jobs
-from fishrl.training import open_run
 from fishrl.training.run_folder import write_json
+from tests.training.conftest import make_run_folder
 
 
 @pytest.mark.parametrize("name", reproduce.main.command_line.list_choices()["scale"])
@@ -36,7 +36,7 @@ def test_stages_of_scale_are_valid_commands(name: str, tmp_path: Path) -> None:
 def begin(words: Sequence[str]) -> Path:
     """Make the folder of the only run of a sweep."""
     (stage,) = plan_jobs(words)
-    return open_run(stage.settings).enter().folder.path
+    return make_run_folder(stage.settings).path
 
 
 def test_stages_use_results_of_earlier_jobs(tmp_path: Path) -> None:

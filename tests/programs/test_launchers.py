@@ -48,6 +48,6 @@ def test_joblib_runs_save_before_they_are_killed(tmp_path: Path) -> None:
     assert "0 of 2 runs finished" in out
     for mark in marks:
         assert (read_run(mark.parent).status, read_run(mark.parent).frames) == ("stopped", 8)
-        assert Checkpoint.find(mark.parent, which="last").frames == 8
+        assert Checkpoint.read(mark.parent / "checkpoints" / "last").frames == 8
         said = (mark.parent / "output.log").read_text(encoding="utf-8")
         assert "SIGINT: saved at frame 8" in said

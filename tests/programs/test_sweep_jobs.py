@@ -28,7 +28,7 @@ from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.run_folder import write_json, write_yaml
 from tests.modules.test_lateral_line import make as make_classifier
 from tests.physics.fast.test_workers import find_processes
-from tests.training.conftest import read_rows
+from tests.training.conftest import make_run_folder, read_rows
 
 ROOT = Path(__file__).parents[2]
 HERE = "tests.training.faults"  # makes fish glide in the runs' own processes
@@ -114,7 +114,7 @@ def test_invalid_job_ends_sweep_before_it_begins(
 def begin(folder: Path, *words: str) -> Job:
     """Write a run that is to be trained, as its job does first."""
     (job,) = plan_jobs([f"folder={folder}", *words])
-    open_run(job.settings).enter()
+    make_run_folder(job.settings)
     return job
 
 
@@ -167,7 +167,7 @@ def test_logging_and_baselines_do_not_split_groups(tmp_path: Path) -> None:
     ]
     given.append("logger=wandb")
     for name, words in {"a": [], "b": given, "c": ["eval_frames=8"]}.items():
-        open_run(TRAINING.read([f"folder={tmp_path}", f"name={name}", *words])).enter()
+        make_run_folder(TRAINING.read([f"folder={tmp_path}", f"name={name}", *words]))
     # which evaluation is the best one depends on when they are made
     assert [len(group.runs) for group in group_runs(read_runs(tmp_path))] == [2, 1]
 
@@ -206,7 +206,7 @@ def test_terminated_sweep_saves_its_runs(tmp_path: Path, capfd: pytest.CaptureFi
     assert "Traceback" not in done.err
     (run,) = read_runs(tmp_path)  # the other one never began
     assert (run.status, run.frames) == ("stopped", 8)
-    assert Checkpoint.find(run.path, which="last").frames == 8
+    assert Checkpoint.read(run.path / "checkpoints" / "last").frames == 8
     assert not (run.path / "failure.txt").exists()
     said = (run.path / "output.log").read_text(encoding="utf-8")
     command = show_command("train", "resume=")

@@ -15,6 +15,7 @@ import torch
 
 from fishrl.envs import Flows
 from fishrl.training import Callback, Plan, Training, open_run
+from fishrl.training.run_folder import RunFolder, write_yaml
 from tests.training.toy_fish import ToyPredation, make_any_env
 
 DEFAULTS: dict[str, Any] = {
@@ -38,6 +39,13 @@ def make_toy_plan(folder: Path, *, task: dict[str, Any] | None = None, **setting
     """Make a plan from its settings; ``folder`` is where run folders lie."""
     values: dict[str, Any] = {**DEFAULTS, "folder": str(folder), "preset": "toy", **settings}
     return Plan(task=ToyPredation(**task or {}), **values)  # type: ignore[arg-type]
+
+
+def make_run_folder(plan: Plan) -> RunFolder:
+    """Make the folder of a run that has not begun to learn."""
+    opened = open_run(plan).enter()
+    write_yaml(opened.folder.config, opened.stored)
+    return opened.folder
 
 
 @pytest.fixture(autouse=True, scope="session")

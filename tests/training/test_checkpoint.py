@@ -61,7 +61,6 @@ def test_run_folder_gives_best_else_last_checkpoint(
     assert Checkpoint.find(tmp_path).path.name == "last"
     save(tmp_path / "checkpoints" / "best")
     assert Checkpoint.find(tmp_path).path.name == "best"
-    assert Checkpoint.find(tmp_path, which="last").path.name == "last"
     (tmp_path / "checkpoints" / "best").rename(tmp_path / "checkpoints" / ".best.new")
     assert Checkpoint.find(tmp_path).path.name == ".best.new"  # killed between the renames
 
@@ -213,7 +212,7 @@ def test_run_survives_a_full_disk(
             return
         with limited_disk((run / "metrics.csv").stat().st_size):
             conclude(self, metrics)
-        assert Checkpoint.find(run, which="last").frames == 80
+        assert Checkpoint.read(run / "checkpoints" / "last").frames == 80
 
     monkeypatch.setattr(Training, "_conclude", conclude_on_a_full_disk)
     with caplog.at_level(logging.ERROR, logger="fishrl"):
@@ -221,7 +220,7 @@ def test_run_survives_a_full_disk(
     assert "best: cannot be written" in caplog.text
     assert "metrics.csv: 1 rows cannot be written (File too large)" in caplog.text
     assert toy.rows("run") == read_rows(whole.folder.path)
-    assert Checkpoint.find(run, which="last").frames == 240
+    assert Checkpoint.read(run / "checkpoints" / "last").frames == 240
     monkeypatch.undo()
     longer = toy.reopen("run", total_frames=280)
     with limited_disk(2000), pytest.raises(CheckpointNotWritten, match="is unchanged"):
