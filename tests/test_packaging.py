@@ -19,7 +19,6 @@ from packaging.utils import canonicalize_name
 import fishrl
 
 ROOT = Path(__file__).parents[1]
-LEFT_OUT = {"__pycache__"}
 
 
 @pytest.fixture(scope="module")
@@ -29,12 +28,9 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     for name in ("fishrl", "experiments", "tests"):
-        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns(*LEFT_OUT))
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     build = "from setuptools.build_meta import build_wheel; build_wheel('dist')"
-    done = subprocess.run(
-        [sys.executable, "-c", build], cwd=source, check=False, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    subprocess.run([sys.executable, "-c", build], cwd=source, check=True, stdout=subprocess.DEVNULL)
     (path,) = (source / "dist").glob("*.whl")
     folder = tmp_path_factory.mktemp("site")
     with zipfile.ZipFile(path) as archive:
@@ -47,18 +43,14 @@ def _read_metadata(installed: Path) -> Message:
     return message_from_bytes(path.read_bytes())
 
 
+def _list_files(root: Path, pattern: str) -> set[str]:
+    files = {path.relative_to(root).as_posix() for path in root.glob(pattern) if path.is_file()}
+    return {file for file in files if "__pycache__" not in file and ".dist-info" not in file}
+
+
 def test_wheel_holds_exactly_the_library(installed: Path) -> None:
-    files = {
-        path.relative_to(ROOT).as_posix()
-        for path in (ROOT / "fishrl").rglob("*")
-        if path.is_file() and not LEFT_OUT & set(path.parts)
-    }
-    packed = {
-        path.relative_to(installed).as_posix()
-        for path in installed.rglob("*")
-        if path.is_file() and ".dist-info" not in path.as_posix()
-    }
-    assert packed == files
+    packed = _list_files(installed, "**/*")
+    assert packed == _list_files(ROOT, "fishrl/**/*")
     assert {"fishrl/py.typed", "fishrl/envs/steering.pt"} <= packed
 
 
@@ -98,16 +90,9 @@ env = make_env(task=Predation(
 print(env.rollout(1)["next", "observation_stack"].isfinite().all().item())
 print([name for name in sys.modules if name.split(".")[0] in ("experiments", "hydra", "rerun")])
 """
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", script],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(installed)},
-        check=False,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [str(installed / "fishrl" / "__init__.py"), "True", "[]"]
+    command, env = [sys.executable, "-P", "-c", script], os.environ | {"PYTHONPATH": str(installed)}
+    said = subprocess.check_output(command, cwd=tmp_path, env=env, text=True)
+    assert said.split() == [str(installed / "fishrl" / "__init__.py"), "True", "[]"]
 
 
 def test_every_requirement_has_a_pinned_version() -> None:

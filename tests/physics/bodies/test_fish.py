@@ -112,10 +112,7 @@ def assert_no_angular_momentum(bent: Deformation) -> None:
 def assert_midline_keeps_length_area_and_centre(
     fish: Fish, body: BodyState, before: torch.Tensor, after: torch.Tensor
 ) -> None:
-    """Velocities to half a percent of the largest, lengths and areas to a fifth of a percent.
-
-    ``before`` and ``after`` are the outlines half a step earlier and later.
-    """
+    """``before`` and ``after`` are the outlines half a step earlier and later."""
     shape, places, half = fish.make_params(), outline(fish, body)[0], fish.num_markers // 2
     assert isinstance(shape, MidlineParams)
     spine = 0.5 * (places[1:half] + places[half + 1 :].flip(0))
