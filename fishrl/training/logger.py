@@ -24,8 +24,9 @@ def read_rows(path: Path) -> list[dict[str, str]]:
     """
     with path.open(newline="", encoding="utf-8") as file:
         lines = csv.DictReader(file)
+        names = lines.fieldnames or ()
         rows = [row for row in lines if None not in (*row, *row.values())]
-    if "frames" not in (lines.fieldnames or ()) or not all(r["frames"].isdecimal() for r in rows):
+    if "frames" not in names or not all(r["frames"].isdecimal() for r in rows):
         raise ValueError(f"{path}: damaged (it lacks frames); repair or delete it")
     return rows
 

@@ -13,6 +13,7 @@ from tensordict.nn import TensorDictModule
 import fishrl.envs.flow_env
 from experiments.gait import trials
 from experiments.gait.trials import Histories, Trial, make_trial, record, run_trial
+from fishrl.envs import Flows
 from fishrl.envs.changes import StreamSwitches
 from fishrl.envs.streams import Stream
 from tests.envs.kinematic_solver import KinematicSolver
@@ -20,6 +21,7 @@ from tests.experiments.gait.tasks import BRIEF, make_task
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
+FLOWS = Flows(num_envs=1, compile=False)
 LIFT = 0.003  # rho (nodes / step)^2 nodes, on the obstacle of each row times its number
 
 
@@ -47,7 +49,7 @@ def test_lift_is_impulse_rate_in_rho_L_and_T(
         identity="",
     )
     starts = task.sample_starts(2, torch.Generator().manual_seed(0))
-    lift = record(trial, starts).lift
+    lift = record(trial, starts, flows=FLOWS).lift
     unit = task.body_length * (task.body_length / task.scales.period) ** 2
     expected = (LIFT / unit * torch.tensor([[1.0], [2.0]])).double().expand_as(lift)
     assert lift.shape == (2, 2 * trials.FRAMES)
@@ -70,7 +72,7 @@ def test_history_is_recorded_again_only_if_inputs_change(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trial = make_trial("bang_bang", make_task(), periods=BRIEF)
-    first = trials.concatenate(run_trial(trial, episodes=1, folder=tmp_path))
+    first = trials.concatenate(run_trial(trial, episodes=1, folder=tmp_path, flows=FLOWS))
     recorded = []
 
     def pretend(*_: Any, **__: Any) -> Histories:
@@ -81,7 +83,9 @@ def test_history_is_recorded_again_only_if_inputs_change(
 
     def count(trial: Trial, **settings: Any) -> int:
         for _ in range(2):  # the second time it is read
-            again = run_trial(trial, **{"episodes": 1, "folder": tmp_path, **settings})
+            again = run_trial(
+                trial, **{"episodes": 1, "folder": tmp_path, "flows": FLOWS, **settings}
+            )
             for a, b in zip(first, trials.concatenate(again), strict=True):
                 torch.testing.assert_close(a, b, rtol=0.0, atol=0.0, equal_nan=True)
         return len(recorded)
@@ -115,5 +119,5 @@ def test_baselines_beat_at_their_frequency(tmp_path: Path, monkeypatch: pytest.M
     shed = (rates * task.scales.period).tolist()
     for name, expected in (("passive", [0.0] * 3), ("shedding", shed)):
         trial = make_trial(name, task, periods=BRIEF)
-        flows = run_trial(trial, episodes=1, folder=tmp_path)
+        flows = run_trial(trial, episodes=1, folder=tmp_path, flows=FLOWS)
         assert [float(flow.frequency[0, 0]) for flow in flows] == pytest.approx(expected)
