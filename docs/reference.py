@@ -71,7 +71,8 @@ def make_reference() -> str:
         is_part = not issubclass(kind, AbstractTask)
         return is_part, titles.get(kind, ""), len(kind.__mro__), kind.__name__
 
-    by_name = {f"{kind.__module__}.{kind.__qualname__}": kind for kind in find_classes()}
+    largest = sorted(find_classes(), key=lambda kind: len(list_fields(kind)))  # of one function
+    by_name = {f"{kind.__module__}.{kind.__qualname__}": kind for kind in largest}
     classes = sorted(by_name.values(), key=rank)
     groups = TRAINING.list_choices().items()
     rows = [f"| `{name}=` | {', '.join(f'`{c}`' for c in choices)} |" for name, choices in groups]
