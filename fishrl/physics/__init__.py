@@ -25,18 +25,15 @@ from fishrl.physics.boundaries import (
     Profile,
 )
 from fishrl.physics.diagnostics import (
-    compute_area,
     compute_coefficient,
     compute_pressure,
     compute_spectral_frequency,
     compute_strouhal,
     compute_vorticity,
-    find_crossings,
     measure_cycles,
 )
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, Sponge
-from fishrl.physics.geometry import Markers
 from fishrl.physics.rollout import estimate_memory, simulate
 from fishrl.physics.skins import BounceBack, ImmersedBoundary, Skin
 from fishrl.physics.units import Scales, compute_tau
@@ -66,7 +63,6 @@ __all__ = [
     "Gait",
     "ImmersedBoundary",
     "InPlaceSolver",
-    "Markers",
     "NoSlip",
     "NonEquilibrium",
     "OpenEdge",
@@ -81,7 +77,6 @@ __all__ = [
     "Strokes",
     "Surging",
     "Towed",
-    "compute_area",
     "compute_coefficient",
     "compute_pressure",
     "compute_spectral_frequency",
@@ -89,7 +84,6 @@ __all__ = [
     "compute_tau",
     "compute_vorticity",
     "estimate_memory",
-    "find_crossings",
     "measure_cycles",
     "simulate",
 ]

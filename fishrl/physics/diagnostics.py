@@ -17,12 +17,6 @@ def compute_vorticity(u: Tensor) -> Tensor:
     return dv_dx - du_dy
 
 
-def compute_area(outline: Tensor) -> Tensor:
-    """Return the area ``[B]`` enclosed by closed outlines ``[B, N, 2]``, nodes^2 (shoelace)."""
-    x, y = outline.unbind(-1)
-    return 0.5 * (x * y.roll(-1, -1) - y * x.roll(-1, -1)).sum(-1).abs()
-
-
 def compute_pressure(rho: Tensor) -> Tensor:
     """Return the pressure p = (rho - 1) / 3 above that of the fluid at rest, any shape."""
     return (rho - 1.0) / 3.0

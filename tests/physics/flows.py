@@ -39,6 +39,14 @@ def start_stream(
     return FlowState(make_uniform(none, none + velocity[0], none + velocity[1]), bodies)
 
 
+def measure_polygon(corners: Tensor) -> tuple[float, Tensor]:
+    """Return area and centre of a polygon ``[N, 2]`` (shoelace)."""
+    x, y = corners.unbind(-1)
+    cross = x * y.roll(-1) - y * x.roll(-1)
+    sums = torch.stack((((x + x.roll(-1)) * cross).sum(), ((y + y.roll(-1)) * cross).sum()))
+    return 0.5 * float(cross.sum().abs()), sums / (3.0 * cross.sum())
+
+
 def advance(
     state: FlowState, config: FlowConfig, num_steps: int, params: FlowParams | None = None
 ) -> FlowState:

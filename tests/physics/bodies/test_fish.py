@@ -13,12 +13,18 @@ from fishrl.physics.bodies.motion import Bending, Commanded, Free, Motion, Towed
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.cases import PERIODIC
 from fishrl.physics.collision import compute_moments
-from fishrl.physics.diagnostics import compute_area
 from fishrl.physics.flow import FlowState, make_params, make_rest
 from fishrl.physics.geometry import deform_body, locate_markers, locate_outline, place_markers
 from fishrl.physics.skins import ImmersedBoundary
 from fishrl.physics.step import step
-from tests.physics.flows import SCALES, advance, make_tank, place_body, start_stream
+from tests.physics.flows import (
+    SCALES,
+    advance,
+    make_tank,
+    measure_polygon,
+    place_body,
+    start_stream,
+)
 
 FIT = ImmersedBoundary().fit
 STILL = Gait(amplitude=0.0, envelope=(0.0, 1.0, 0.0), wavenumber=1.0)
@@ -76,13 +82,6 @@ def test_half_the_amplitude_is_half_the_sway_of_the_tail(is_midline: bool) -> No
     assert sway[1] == pytest.approx(0.5 * sway[0], rel=0.02)
 
 
-def compute_centre(polygon: torch.Tensor) -> torch.Tensor:
-    x, y = polygon.unbind(-1)
-    cross = x * y.roll(-1) - y * x.roll(-1)
-    sums = torch.stack((((x + x.roll(-1)) * cross).sum(), ((y + y.roll(-1)) * cross).sum()))
-    return sums / (3.0 * cross.sum())
-
-
 def sum_over_body(bent: Deformation) -> tuple[float, float, float]:
     """Return angular momentum, its sum without signs, and the polar moment of area.
 
@@ -119,8 +118,9 @@ def assert_midline_keeps_length_area_and_centre(
     length = float((spine[1:] - spine[:-1]).norm(dim=-1).sum())
     ends = shape.step.cumsum(1)[0, shape.station[0, [1, half - 1]].long()]
     assert length == pytest.approx(float(ends[1] - ends[0]), rel=2e-3)
-    assert float(compute_area(places[None])) == pytest.approx(fish.area, rel=2e-3)
-    assert float((compute_centre(places) - body.position[0]).abs().max()) < 0.05
+    area, centre = measure_polygon(places)
+    assert area == pytest.approx(fish.area, rel=2e-3)
+    assert float((centre - body.position[0]).abs().max()) < 0.05
     # the markers' displacement over a step is their velocity (the frame turns by its own rate)
     bent, arm = deform_body(fish, shape, body), places - body.position[0]
     imposed = place_markers(body, bent).deformation_velocity
@@ -142,9 +142,9 @@ def test_deformations_keep_area_and_centre_without_angular_momentum(
             around = (outline(fish, body._replace(phase=body.phase + d * turn)) for d in (-1, 1))
             assert_midline_keeps_length_area_and_centre(fish, body, *around)
             continue
-        places = outline(fish, body)  # polygon against exact outline
-        assert float(compute_area(places)) == pytest.approx(fish.area, rel=0.005)
-        assert (compute_centre(places[0]) - body.position[0]).abs().max() < 0.05
+        area, centre = measure_polygon(outline(fish, body)[0])
+        assert area == pytest.approx(fish.area, rel=0.005)
+        assert (centre - body.position[0]).abs().max() < 0.05
 
 
 def test_a_commanded_turn_ends_at_the_commanded_heading() -> None:
