@@ -87,7 +87,7 @@ def test_wake_without_vortices_is_refused() -> None:
 def test_concurrent_requests_develop_a_wake_once(
     bank: WakeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[str] = []
+    path, made = tmp_path / f"wakes-{RECIPE.key}.pt", list[str]()
 
     def develop(_: WakeRecipe) -> WakeBank:
         made.append("wake")
@@ -97,7 +97,7 @@ def test_concurrent_requests_develop_a_wake_once(
     monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", develop)
     with ThreadPoolExecutor(4) as pool:
         banks = list(pool.map(lambda _: load_wakes(RECIPE, tmp_path), range(4)))
-    assert made == ["wake"]
+    assert made == ["wake"] and path.is_file()
     assert all(torch.equal(each.populations, bank.populations) for each in banks)
 
 
