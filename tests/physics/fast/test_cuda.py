@@ -44,7 +44,7 @@ CASES = {
     ),
 }
 #: Kernels of one step, launched one after the other.
-MOST_LAUNCHES = {"cylinder": 16, "free and commanded fish": 22}
+MOST_LAUNCHES = {"cylinder": 29, "free and commanded fish": 42}
 LONG = [pytest.mark.slow] if IS_PRETENDED else []
 REPLAY = Stepper._replay_  # recorded here, and nowhere else on the pretended device
 
