@@ -95,6 +95,9 @@ def simulate(
     if compile and torch._C._functorch.peek_interpreter_stack() is not None:
         raise ValueError("compile = True: torch.func cannot see into it; give compile = False")
     advance_once = _compile_step if compile else step
+    if compile:
+        with torch.no_grad():  # outside of checkpoints, which count all that a call saves
+            _compile_step(state, config, params)
     num_intervals = num_steps // interval
     per_segment = max(1, round((segment or sqrt(num_steps)) / interval))
 
