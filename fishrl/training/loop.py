@@ -51,6 +51,7 @@ class Training:
     ) -> None:
         self._began = time.perf_counter()
         opened.check()
+        self._generators_before = RNGState().state_dict()  # the caller's
         self.opened = opened = opened.enter()
         self.folder, self.plan, self.task = opened.folder, opened.plan, opened.task
         self.counters, self.interruption = Counters(), interruption or Interruption()
@@ -301,11 +302,12 @@ class Training:
         return True
 
     def close(self) -> None:
-        """End the flows, the log and the callbacks."""
+        """End the flows, the log and the callbacks; random generators are as before the run."""
         self.callbacks.on_close()
         self.plan.logger.close()
         self.collector.shutdown()
         self._lock.close()
+        RNGState().load_state_dict(self._generators_before)
 
     def _wall_seconds(self) -> float:
         """Return the seconds since the run was set up, plus those before a resume."""

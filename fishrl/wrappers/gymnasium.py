@@ -11,6 +11,7 @@ Needs the extra ``gymnasium``. Importing this module registers the ids::
 
 from dataclasses import replace
 from inspect import signature
+from secrets import randbits
 from typing import Any
 
 from fishrl.envs import AbstractTask, Flows, Follower, KarmanGait, Predation, make_env
@@ -35,6 +36,8 @@ def make_vector(task: type[AbstractTask], num_envs: int, **settings: Any) -> Flo
         task: class of the task.
         num_envs: number of flows, regardless of ``flows.num_envs``.
         settings: arguments of ``make_env`` and ``FlowVectorEnv``; all others go to the task.
+            Without ``seed`` each environment draws its own, as Gymnasium's do; ``reset(seed=...)``
+            repeats episodes.
 
     Raises:
         ValueError: for unknown settings.
@@ -44,6 +47,7 @@ def make_vector(task: type[AbstractTask], num_envs: int, **settings: Any) -> Flo
         for takes in (make_env, FlowVectorEnv)
     )
     flows = replace(making.pop("flows", Flows()), num_envs=num_envs)
+    making.setdefault("seed", randbits(32))
     env = make_env(task=task(**settings), flows=flows, **making)
     return FlowVectorEnv(env, **wrapping)
 

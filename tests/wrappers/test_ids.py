@@ -43,6 +43,13 @@ def test_ids_make_vector_and_single_environments() -> None:
 
 
 @pytest.mark.usefixtures("kinematic")
+def test_environments_without_seed_draw_their_own() -> None:
+    first, other = (gymnasium.make("fishrl/Predation-v0", **SETTINGS) for _ in range(2))
+    assert not np.array_equal(first.reset()[0], other.reset()[0])
+    assert np.array_equal(first.reset(seed=1)[0], other.reset(seed=1)[0])
+
+
+@pytest.mark.usefixtures("kinematic")
 def test_record_video_writes_film(tmp_path: Path) -> None:
     env = gymnasium.make("fishrl/Predation-v0", render_mode="rgb_array", **SETTINGS)
     films = RecordVideo(env, str(tmp_path), fps=4)
