@@ -166,7 +166,8 @@ def open_headless(path: str | os.PathLike[str], time_T: float | None) -> Iterato
     recording = find_recording(path)
     with closing(Viewer("--headless", "--hide-welcome-screen", port=_PORT)) as process:
         viewer = HeadlessViewer(process)
-        moment = 0.5 * sum(viewer.load(recording)) if time_T is None else time_T
+        middle = 0.5 * sum(viewer.load(recording))
+        moment = middle if time_T is None else time_T
         viewer.ask(lambda client: client.set_time(TIMELINE, duration=moment, play_state="paused"))
         yield viewer
 

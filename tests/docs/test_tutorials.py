@@ -65,7 +65,7 @@ def test_first_examples_stay_short() -> None:
     assert count_lines(flow.code) <= 15
     env, *_ = read_blocks("index.md")
     assert count_lines(env.code) <= 10
-    task, yaml, *_ = read_blocks("tutorials/new_task.md")
+    task, _, yaml, *_ = read_blocks("tutorials/new_task.md")
     assert len(task.code.splitlines()) < 60
     assert (task.file, yaml.file) == ("hold_station.py", "conf/task/hold_station.yaml")
 

@@ -82,7 +82,7 @@ def test_programs_refuse_modules_a_run_names(
 ) -> None:
     main, arguments = PROGRAMS[name]
     run = store(tmp_path, mark, kind)
-    with pytest.raises(SystemExit, match=r"_target_: \S+: (is no|module 'planted')"):
+    with pytest.raises(SystemExit, match=r"_target_: \S+: (must be a|module 'planted')"):
         main([argument.format(run=run) for argument in arguments])
     assert not mark.exists()
 
