@@ -100,16 +100,17 @@ def write_dataset(
         )
         buffers.append(buffer)
     os.environ["MINARI_DATASETS_PATH"] = str(Path(folder).expanduser().absolute())
-    warnings.simplefilter("ignore", UserWarning)  # missing metadata for the public server
     size = env.observation_spec["observation_stack"].shape[-1]
     seen = Box(-np.inf, np.inf, (size,), np.float32)
     mask = Box(0, 1, (num,), np.uint8)  # TorchRL cannot read MultiBinary
-    return minari.create_dataset_from_buffers(
-        name,
-        buffers,
-        observation_space=Dict({"observation": seen, **dict.fromkeys(masked, mask)}),
-        action_space=Box(-1.0, 1.0, (num,), np.float32) if is_continuous else Discrete(num),
-        algorithm_name=algorithm,
-        description=f"{len(starts)} episodes of {task}",
-        requirements=["fishrl"],
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # missing metadata for the public server
+        return minari.create_dataset_from_buffers(
+            name,
+            buffers,
+            observation_space=Dict({"observation": seen, **dict.fromkeys(masked, mask)}),
+            action_space=Box(-1.0, 1.0, (num,), np.float32) if is_continuous else Discrete(num),
+            algorithm_name=algorithm,
+            description=f"{len(starts)} episodes of {task}",
+            requirements=["fishrl"],
+        )
