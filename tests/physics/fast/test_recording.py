@@ -7,7 +7,7 @@ from torch import Tensor
 from fishrl.physics import InPlaceSolver
 from fishrl.physics.fast.recording import record
 from fishrl.programs.configuration import CONF
-from fishrl.programs.train_settings import TRAINING
+from fishrl.programs.evaluate import main as evaluate
 from tests.physics.fast.test_solver import CHANGES, make_solver
 from tests.physics.flows import make_tank
 
@@ -21,9 +21,14 @@ def list_unrecorded(solver: InPlaceSolver) -> list[str]:
 
 @pytest.mark.compile
 @pytest.mark.parametrize(
-    "name", ["sharp skin", pytest.param("direct solve", marks=pytest.mark.slow)]
+    ("name", "unrecorded"),
+    [
+        ("sharp skin", []),
+        # its Cholesky factorisation allocates the result, so that the part runs as a whole
+        pytest.param("direct solve", ["coupling"], marks=pytest.mark.slow),
+    ],
 )
-def test_recorded_steps_equal_launched_ones_bit_for_bit(name: str) -> None:
+def test_recorded_steps_equal_launched_ones_bit_for_bit(name: str, unrecorded: list[str]) -> None:
     recorded, launched = (make_solver(make_tank(**CHANGES[name]), compile=True) for _ in range(2))
     recorded.advance_(20)
     launched.compile()
@@ -35,7 +40,7 @@ def test_recorded_steps_equal_launched_ones_bit_for_bit(name: str) -> None:
     after = launched.state_dict()
     for key, value in recorded.state_dict().items():
         assert torch.equal(value, after[key]), key
-    assert list_unrecorded(recorded) == []
+    assert list_unrecorded(recorded) == unrecorded
 
 
 @pytest.mark.slow
@@ -44,7 +49,7 @@ def test_every_part_of_every_preset_and_task_is_recorded() -> None:
     words = [
         f"{group}={file.stem}" for group in ("preset", "task") for file in (CONF / group).iterdir()
     ]
-    configs = {TRAINING.read([word]).task.flow_config(): word for word in words}
+    configs = {evaluate.read(["policy=random", word]).task.flow_config(): word for word in words}
     for config, word in configs.items():
         solver = InPlaceSolver(config=config, num_envs=1, num_workers=0)
         solver.compile()
