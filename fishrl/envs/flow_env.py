@@ -10,6 +10,7 @@ transforms.
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import reduce
 from inspect import Signature, signature
 from math import inf
@@ -243,44 +244,52 @@ class FlowEnv(EnvBase):
         Returns each row's measurement at its termination or at the end of the action, with its
         sensor series (undefined in diverged rows), and ``[B]`` bool, the diverged rows.
         """
-        now, has_ended = before.select(*self._measured), self.is_resting
-        diverged, samples = torch.zeros_like(has_ended), list[TensorDict]()
-        sensed = before.select(*self._sensors).apply(lambda series: series[:, -1])
-        num_due, num_safe = 0, 0.0  # steps to take, and steps from now within which no row ends
-        for stretch in self._schedule:
-            num_due += stretch.num_steps
+        rows = _Rows(
+            now=before.select(*self._measured),
+            sensed=before.select(*self._sensors).apply(lambda series: series[:, -1]),
+            has_ended=self.is_resting,
+            diverged=torch.zeros_like(self.is_resting),
+        )
+        reached, safe_until = 0, 0.0  # steps of the action; no row ends before the latter
+        for stop in self._schedule:
             # not <=: NaN asks for a check
-            is_check = stretch.is_last or (stretch.is_check and not num_due <= num_safe)
-            on_frame = self.on_frame if stretch.is_frame else None
-            if not (is_check or on_frame or stretch.is_sample):
+            is_check = stop.is_last or (stop.is_check and not stop.step <= safe_until)
+            on_frame = self.on_frame if stop.is_frame else None
+            if not (is_check or on_frame or stop.is_sample):
                 continue
-            self.solver.advance_(num_due, ~has_ended)
-            num_due, num_safe = 0, num_safe - num_due
-            self.is_moving, self.is_ending = ~has_ended, torch.zeros_like(has_ended)
-            if stretch.is_sample:  # a row that has ended keeps what it sensed last
-                sensed = _merge(has_ended, sensed, self._sense())
-                samples.append(sensed)
+            self.solver.advance_(stop.step - reached, ~rows.has_ended)
+            reached = stop.step
+            self.is_moving, self.is_ending = ~rows.has_ended, torch.zeros_like(rows.has_ended)
+            if stop.is_sample:  # a row that has ended keeps what it sensed last
+                rows.sensed = _merge(rows.has_ended, rows.sensed, self._sense())
+                rows.samples.append(rows.sensed)
             if is_check:
-                measured = self.measure()
-                self.is_ending = self.task.is_terminated(measured) & ~has_ended
-                num_safe = self._count_safe_steps(measured, has_ended | self.is_ending)
-                is_new = ~has_ended if stretch.is_last else self.is_ending
-                # Checking whole fields is expensive: on a CPU only where rows have just ended; to
-                # ask a GPU whether any have would be to wait for it.
-                if is_new.is_cuda or is_new.any():
-                    diverged = diverged | is_new & self.solver.is_diverged()
-                    now = _merge(is_new, measured, now)
-                    has_ended = has_ended | is_new
-                    sensed = sensed if samples else _merge(is_new, self._sense(), sensed)
+                safe_until = reached + self._check(rows, is_last=stop.is_last)
             if on_frame:
                 on_frame(self)
-        return now.update(torch.stack(samples, 1)) if samples else now, diverged
+        series = torch.stack(rows.samples, 1) if rows.samples else {}
+        return rows.now.update(series), rows.diverged
 
-    def _count_safe_steps(self, now: TensorDict, has_ended: Tensor) -> float:
-        """Return for how many steps no row ends; 0 on a GPU, where reading it would wait."""
-        if has_ended.is_cuda:
+    def _check(self, rows: "_Rows", *, is_last: bool) -> float:
+        """Measure the rows that end here, by termination or with the action.
+
+        Returns the number of steps within which no other row ends; 0 on a GPU, where reading it
+        would wait.
+        """
+        measured, has_ended = self.measure(), rows.has_ended
+        self.is_ending = self.task.is_terminated(measured) & ~has_ended
+        is_new = ~has_ended if is_last else self.is_ending
+        # Checking whole fields is expensive: on a CPU only where rows have just ended; to ask a
+        # GPU whether any have would be to wait for it.
+        if is_new.is_cuda or is_new.any():
+            rows.diverged = rows.diverged | is_new & self.solver.is_diverged()
+            rows.now = _merge(is_new, measured, rows.now)
+            rows.has_ended = has_ended | is_new
+            if not rows.samples:
+                rows.sensed = _merge(is_new, self._sense(), rows.sensed)
+        if is_new.is_cuda or is_last:
             return 0.0
-        return float(self.task.count_safe_steps(now).masked_fill(has_ended, inf).min())
+        return float(self.task.count_safe_steps(measured).masked_fill(rows.has_ended, inf).min())
 
     def _read_action(self, action: Tensor) -> Tensor:
         """Return legal actions in the form that the task expects."""
@@ -356,6 +365,17 @@ class FlowEnv(EnvBase):
         """End the solver's processes, if any."""
         super().close(raise_if_closed=raise_if_closed)
         self.solver.close()
+
+
+@dataclass
+class _Rows:
+    """What has become of each row within an action."""
+
+    now: TensorDict  #: measurement at its end; before, that at the decision
+    sensed: TensorDict  #: latest sensor readings
+    has_ended: Tensor  #: ``[B]`` bool
+    diverged: Tensor  #: ``[B]`` bool
+    samples: list[TensorDict] = field(default_factory=list)  #: sensor series, oldest first
 
 
 def _merge(rows: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDict:

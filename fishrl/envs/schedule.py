@@ -1,23 +1,20 @@
 """The schedule of checks, frames and samples within an action."""
 
-from itertools import pairwise
 from typing import NamedTuple
 
 
-class Stretch(NamedTuple):
-    """Steps up to the next event."""
+class Stop(NamedTuple):
+    """A moment of an action at which something is due."""
 
-    num_steps: int  #: number of steps, even
-    is_check: bool  #: check for termination after them
-    is_frame: bool  #: call ``on_frame`` after them
-    is_sample: bool  #: record sensor samples after them
-    is_last: bool  #: the action ends after them
+    step: int  #: steps since the beginning of the action, even
+    is_check: bool  #: check for termination
+    is_frame: bool  #: call ``on_frame``
+    is_sample: bool  #: record sensor samples
+    is_last: bool  #: the action ends
 
 
-def make_schedule(
-    num_steps: int, *, checks: int, frames: int = 1, samples: int = 0
-) -> list[Stretch]:
-    """Divide an action into stretches that end at evenly spaced checks, frames or samples.
+def make_schedule(num_steps: int, *, checks: int, frames: int = 1, samples: int = 0) -> list[Stop]:
+    """Return the stops of an action: evenly spaced checks, frames and samples.
 
     Args:
         num_steps: steps of the action, even.
@@ -39,18 +36,11 @@ def make_schedule(
                 f"{name} = {count}: must lie in [{least}, {pairs}], as flows advance by two steps "
                 f"and an action takes {num_steps}"
             )
-    check_ends, frame_ends, sample_ends = (
+    check_at, frame_at, sample_at = (
         {2 * round(pairs * k / count) for k in range(1, count + 1)}
         for count in (checks, frames, samples)
     )
-    ends = [0, *sorted(check_ends | frame_ends | sample_ends)]
     return [
-        Stretch(
-            num_steps=end - start,
-            is_check=end in check_ends,
-            is_frame=end in frame_ends,
-            is_sample=end in sample_ends,
-            is_last=end == num_steps,
-        )
-        for start, end in pairwise(ends)
+        Stop(step, step in check_at, step in frame_at, step in sample_at, step == num_steps)
+        for step in sorted(check_at | frame_at | sample_at)
     ]

@@ -13,6 +13,7 @@ in an underscore for what changes its object in place.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from functools import cached_property
+from itertools import pairwise
 from math import ceil
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, NamedTuple
@@ -98,12 +99,11 @@ class AbstractTask(Settings, ABC):
 
     def __post_init__(self) -> None:
         num_samples = find_extension(self, HasHistory).num_samples
-        stretches = make_schedule(
-            self.n_substeps, checks=self.checks_per_action, samples=num_samples
-        )
+        stops = make_schedule(self.n_substeps, checks=self.checks_per_action, samples=num_samples)
         self.flow_config()  # raises if the domain is too small for the fish
         # A marker must not leave the grid from the margin between two checks.
-        travel = self.swimming_speed * max(s.num_steps for s in stretches)
+        steps = [0, *(stop.step for stop in stops)]
+        travel = self.swimming_speed * max(after - before for before, after in pairwise(steps))
         least = 1.0 + travel
         if self.wall_margin < least:
             raise ValueError(

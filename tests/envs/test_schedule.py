@@ -1,4 +1,6 @@
-"""Stretches of an action between checks and frames."""
+"""Stops of an action for checks and frames."""
+
+from itertools import pairwise
 
 import pytest
 
@@ -6,18 +8,19 @@ from fishrl.envs.schedule import make_schedule
 
 
 @pytest.mark.parametrize(("num_steps", "checks", "frames"), [(562, 20, 8), (106, 7, 1), (6, 3, 3)])
-def test_schedule_fills_the_action_with_even_stretches(
+def test_stops_are_evenly_spaced_up_to_end_of_action(
     num_steps: int, checks: int, frames: int
 ) -> None:
-    stretches = make_schedule(num_steps, checks=checks, frames=frames)
-    assert sum(s.num_steps for s in stretches) == num_steps
-    assert all(s.num_steps > 0 and s.num_steps % 2 == 0 for s in stretches)
-    assert sum(s.is_check for s in stretches) == checks
-    assert sum(s.is_frame for s in stretches) == frames
-    assert [s.is_last for s in stretches] == [False] * (len(stretches) - 1) + [True]
-    assert stretches[-1].is_check and stretches[-1].is_frame
-    between = make_schedule(num_steps, checks=checks, frames=1)
-    assert {s.num_steps // 2 - num_steps // 2 // checks for s in between} <= {0, 1}
+    stops = make_schedule(num_steps, checks=checks, frames=frames)
+    steps = [stop.step for stop in stops]
+    assert steps == sorted(set(steps)) and steps[0] > 0 and not any(step % 2 for step in steps)
+    assert sum(stop.is_check for stop in stops) == checks
+    assert sum(stop.is_frame for stop in stops) == frames
+    assert stops[-1] == (num_steps, True, True, False, True)
+    assert not any(stop.is_last for stop in stops[:-1])
+    alone = [0, *(stop.step for stop in make_schedule(num_steps, checks=checks))]
+    pairs = {(after - before) // 2 - num_steps // 2 // checks for before, after in pairwise(alone)}
+    assert pairs <= {0, 1}
 
 
 def test_too_many_checks_or_frames_are_refused() -> None:
