@@ -1,4 +1,4 @@
-"""Safe area and reward for holding station."""
+"""Safe area and weights of the reward for holding station."""
 
 import torch
 from pydantic import NonNegativeFloat, PositiveFloat
@@ -58,7 +58,7 @@ class SafeArea(Settings):
 
 
 class StationReward(Settings):
-    """Reward for holding station with little work: r1 to r4 of the paper's Task 2.
+    """Weights of r1 to r4 of the paper's Task 2, see ``KarmanGait.reward``.
 
     Args:
         drift_limit_bl: downstream drift in one interval beyond which r1, ``hold``, is -1 instead of
@@ -76,18 +76,3 @@ class StationReward(Settings):
     work_reference: PositiveFloat = 0.1
     danger_penalty: float = 5.0
     rim_weight: float = 10.0
-
-    def compute(
-        self, *, drift: Tensor, work: Tensor, depth: Tensor, is_in_danger: Tensor
-    ) -> dict[str, Tensor]:
-        """Return the terms ``[B]`` for one interval, from downstream ``drift`` ``[B]`` in L.
-
-        ``work`` ``[B]`` is done by the muscles, rho L^2 (L / T)^2, ``depth`` ``[B]`` is inside
-        the rim in L, 0 outside, and ``is_in_danger`` ``[B]`` bool.
-        """
-        return {
-            "hold": torch.where(drift > self.drift_limit_bl, -1.0, 1.0),
-            "work": self.work_weight * (1.0 - work / self.work_reference),
-            "rim": -self.rim_weight * depth,
-            "danger": -self.danger_penalty * is_in_danger,
-        }

@@ -1,7 +1,10 @@
 """The danger area and the reward for holding station."""
 
+import pytest
 import torch
+from tensordict import TensorDict
 
+from fishrl.envs import KarmanGait
 from fishrl.envs.stations import SafeArea, StationReward
 
 
@@ -14,14 +17,16 @@ def test_margin_is_the_distance_from_the_danger_area() -> None:
 
 def test_terms_of_the_reward_add_up_as_in_the_paper() -> None:
     """One row for each term, and one that drifts no more than it may."""
+    task = KarmanGait(reward_terms=StationReward(work_reference=2.0))
+    x = torch.full((7,), 2.0).double()
+    x[5], x[6] = task.safe_area.near_bl + 0.15, task.safe_area.near_bl  # 0.1 inside the rim, out
     drift = torch.tensor([0.0, 0.05, 0.06, 0.0, 0.0, 0.0, 0.0])
-    work = torch.tensor([0.0, 0.0, 0.0, 2.0, 3.0, 0.0, 0.0])
-    depth = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0])
-    ends = torch.tensor([False] * 6 + [True])
-    terms = StationReward(work_reference=2.0)
-    reward = sum(
-        terms.compute(drift=drift, work=work, depth=depth, is_in_danger=ends).values(),
-        start=torch.zeros(7),
-    )
-    expected = [1.1, 1.1, -0.9, 1.0, 0.95, 1.1 - 1.0, 1.1 - 5.0]
-    torch.testing.assert_close(reward, torch.tensor(expected).to(reward))
+    now = {
+        "place": torch.stack((x, 0.0 * x), -1),
+        "drift": drift[:, None].expand(-1, 2),
+        "work": torch.tensor([0.0, 0.0, 0.0, 2.0, 3.0, 0.0, 0.0]),
+        "clearance": torch.full((7,), 99.0),
+    }
+    terms = task.reward(TensorDict({"work": torch.zeros(7)}, [7]), TensorDict(now, [7]))
+    expected = [1.1, 1.1, -0.9, 1.0, 0.95, 1.1 - 1.0, 1.1 - 2.5 - 5.0]
+    assert sum(terms.values()).tolist() == pytest.approx(expected)

@@ -246,14 +246,16 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
             rim: −``rim_weight`` · d, with d the depth inside the rim of the safe area [L].
             danger: −``danger_penalty`` on entering the danger area or at an edge, 0 otherwise.
         """
+        weights, area = self.reward_terms, self.safe_area
         paid = "positive_work" if self.control.largest_bend else "work"
-        margin = self.safe_area.measure_margin(now["place"])
-        return self.reward_terms.compute(
-            drift=now["drift"][:, 0],
-            work=now[paid] - before[paid],
-            depth=(self.safe_area.rim_bl - margin).clamp_min(0.0),
-            is_in_danger=self.is_terminated(now),
-        )
+        work = now[paid] - before[paid]
+        depth = (area.rim_bl - area.measure_margin(now["place"])).clamp_min(0.0)
+        return {
+            "hold": torch.where(now["drift"][:, 0] > weights.drift_limit_bl, -1.0, 1.0),
+            "work": weights.work_weight * (1.0 - work / weights.work_reference),
+            "rim": -weights.rim_weight * depth,
+            "danger": -weights.danger_penalty * self.is_terminated(now),
+        }
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
         """Return whether the fish is in the danger area or at an edge."""

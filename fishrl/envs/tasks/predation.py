@@ -10,6 +10,7 @@ from pydantic import NonNegativeFloat, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.agents import shape_fish
 from fishrl.envs.control import AbstractControlTask, Control, Turn
 from fishrl.envs.extensions import HasScene
 from fishrl.envs.scene import Marks, Panel, Scene, Series
@@ -17,7 +18,6 @@ from fishrl.envs.senses import OWN_SENSES, measure_own_motion
 from fishrl.envs.sensors import TARGET, compute_clearance, sense_target
 from fishrl.envs.task import AbstractTask, Sense
 from fishrl.envs.tasks.food import AbstractFoodTask
-from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.fast.solver import InPlaceSolver
 
 
@@ -106,7 +106,7 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
         """Also check that no food is in reach and that its direction is 1 or -1."""
         super().check_starts(starts)
         food = self.locate_food(starts, torch.zeros_like(starts["food_direction"]))
-        away = starts["head"] - (food if starts["head"].dim() == 2 else food[:, None])
+        away = starts["head"].view(-1, self.num_fish, 2) - food[:, None]
         if ((away * away).sum(-1).sqrt() <= self.capture_radius).any():
             raise ValueError(
                 f"starts has a fish within capture_radius = {self.capture_radius:g} nodes of its "
@@ -157,8 +157,7 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
     def is_terminated(self, now: TensorDictBase) -> Tensor:
         """Return whether the food is captured or a wall is hit, by any fish."""
         hits_wall: Tensor = now["clearance"] < self.wall_margin
-        has_ended = hits_wall | self.has_caught(now)
-        return has_ended.any(1) if self.num_fish > 1 else has_ended
+        return _list_fish(hits_wall | self.has_caught(now)).any(1)
 
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
         """Return how long the nearest fish takes at least to a wall and to the food."""
@@ -166,22 +165,45 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
         food_speed = self.food_ranges["food_speed"][1] * self.body_length / self.scales.period
         distance = now["target"][..., 2] * self.body_length - self.capture_radius
         to_food = distance / (speed + food_speed)
-        steps = torch.minimum((now["clearance"] - self.wall_margin) / speed, to_food)
-        return steps.amin(1) if self.num_fish > 1 else steps
+        to_wall = (now["clearance"] - self.wall_margin) / speed
+        return _list_fish(torch.minimum(to_wall, to_food)).amin(1)
 
-    def measure_fish(self, body: BodyState) -> dict[str, Tensor]:
-        """Return a fish's heading, tail beats and own motion, ``[B, ...]``."""
-        own = measure_own_motion(body, self.scales.period)["own_motion"]
-        heading = body.heading + body.internal_angle if self.bends else body.heading.clone()
-        own = own if self.bends else own[:, :0]
-        return {"heading": heading, "beats": body.beats.clone(), "own_motion": own}
+    @property
+    def lanes(self) -> tuple[tuple[int, int], ...]:
+        """First and last node of the nose of each fish along y."""
+        return (self.start_range[1],)
 
-    def _make_starts(self, head: Tensor, chance: Tensor) -> TensorDict:
-        """Return starts that face -x, of noses ``head`` and other random numbers ``[E, ...]``."""
-        starts = {"head": head, "heading": torch.full_like(head[..., 0], pi)} | self.draw_path(
-            chance
-        )
-        return TensorDict(starts, chance.shape[:1], device=chance.device)
+    def starts_from(self, uniform: Tensor) -> TensorDict:
+        """Draw nose positions (on nodes, facing -x) and the path of the food."""
+        (left, right), shape = self.start_range[0], shape_fish(self, len(uniform))
+        low = uniform.new_tensor([[left, lane[0]] for lane in self.lanes])
+        high = uniform.new_tensor([[right, lane[1]] for lane in self.lanes])
+        places, chance = uniform.split((2 * self.num_fish, self.num_draws - 2 * self.num_fish), 1)
+        head = low + torch.floor(places.view(-1, self.num_fish, 2) * (high - low + 1.0))
+        heading = torch.full(shape, pi, dtype=torch.float64, device=uniform.device)
+        starts = {"head": head.view(*shape, 2), "heading": heading} | self.draw_path(chance)
+        return TensorDict(starts, shape[:1], device=uniform.device)
+
+    def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
+        """Measure heading, own motion, food and distance from the walls of each fish."""
+        food, shape = self.locate_food(starts, solver.body.age), shape_fish(self, len(starts))
+        each = [self._measure_fish(solver, index, food) for index in range(self.num_fish)]
+        now = {name: torch.stack([own[name] for own in each], 1) for name in each[0]}
+        now = {name: value.view(*shape, *value.shape[2:]) for name, value in now.items()}
+        return TensorDict(now, starts.batch_size, device=starts.device)
+
+    def _measure_fish(self, solver: InPlaceSolver, index: int, food: Tensor) -> dict[str, Tensor]:
+        body, markers = solver.bodies[index], solver.markers(index)
+        heading, motion = body.heading, measure_own_motion(body, self.scales.period)["own_motion"]
+        if self.bends:
+            heading = heading + body.internal_angle
+        return {
+            "heading": heading,
+            "beats": body.beats,
+            "own_motion": motion if self.bends else motion[:, :0],
+            "target": sense_target(markers[:, 0], heading, food, body_length=self.body_length),
+            "clearance": compute_clearance(markers, solver.config),
+        }
 
     def read_scene(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Add the food and its distance from the nearest nose."""
@@ -199,7 +221,7 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
     def name_endings(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Tell whether the food was caught or a wall was hit, by any fish."""
         flags = {"caught": self.has_caught(now), "hit a wall": now["clearance"] < self.wall_margin}
-        return {w: flag.any(1) if self.num_fish > 1 else flag for w, flag in flags.items()}
+        return {words: _list_fish(flag).any(1) for words, flag in flags.items()}
 
     def add_to_scene(self, scene: Scene) -> Scene:
         """Add the food and its distance."""
@@ -226,27 +248,16 @@ class Predation(AbstractPredation):
     The paper (Task 1) gives neither the food's x and limits nor the capture radius.
     """
 
-    def starts_from(self, uniform: Tensor) -> TensorDict:
-        """Draw nose positions (on nodes, facing -x) and the food's first direction."""
-        low, high = torch.tensor(self.start_range, dtype=torch.float64, device=uniform.device).T
-        return self._make_starts(
-            low + torch.floor(uniform[:, :2] * (high - low + 1.0)), uniform[:, 2:]
-        )
-
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
-        """Measure nose, heading, food, its relative position and the distance from the walls."""
-        markers, own = solver.markers(), self.measure_fish(solver.body)
-        head, food = markers[:, 0].clone(), self.locate_food(starts, solver.body.age)
-        now = {
-            **own,
-            "head": head,
-            "food": food,
-            "food_ahead": self.foresee_food(starts, solver.body.age),
-            "target": sense_target(head, own["heading"], food, body_length=self.body_length),
-            "clearance": compute_clearance(markers, solver.config),
-        }
-        return TensorDict(now, starts.batch_size, device=starts.device)
+        """Also foresee the food."""
+        ahead = self.foresee_food(starts, solver.body.age)
+        return super().measure(solver, starts).set("food_ahead", ahead)
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``captured`` ``[B]``, and ``food_ahead``, the path of the food."""
         return {"captured": self.has_caught(now), "food_ahead": now["food_ahead"]}
+
+
+def _list_fish(values: Tensor) -> Tensor:
+    """Return values ``[B]`` of one fish, or ``[B, M]`` of several, as ``[B, M]``."""
+    return values.view(len(values), -1)

@@ -7,7 +7,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.sensors import TARGET, compute_clearance, compute_gap, sense_target
+from fishrl.envs.sensors import TARGET, compute_gap, sense_target
 from fishrl.envs.starts import place_outline
 from fishrl.envs.task import Sense
 from fishrl.envs.tasks.predation import AbstractPredation
@@ -79,36 +79,15 @@ class PredationPair(AbstractPredation):
             )
         return (low, low + room), (high - room, high)
 
-    def starts_from(self, uniform: Tensor) -> TensorDict:
-        """Draw both nose positions (on nodes, facing -x) and the food's initial direction."""
-        (left, right), lanes = self.start_range[0], self.lanes
-        low = uniform.new_tensor([[left, lane[0]] for lane in lanes])
-        high = uniform.new_tensor([[right, lane[1]] for lane in lanes])
-        places = uniform[:, :4].view(-1, 2, 2)
-        return self._make_starts(low + torch.floor(places * (high - low + 1.0)), uniform[:, 4:])
-
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
-        """Measure senses and distance from the walls of each fish, and the gap of the two."""
-        outlines = [solver.markers(index) for index in range(self.num_fish)]
-        every = [self.measure_fish(body) for body in solver.bodies[: self.num_fish]]
-        noses = [outline[:, 0] for outline in outlines]
-        food = self.locate_food(starts, solver.body.age)
-
-        def sense(place: Tensor, fish: int) -> Tensor:
-            return sense_target(
-                noses[fish], every[fish]["heading"], place, body_length=self.body_length
-            )
-
-        clearance = [compute_clearance(outline, solver.config) for outline in outlines]
-        now = {
-            **{name: torch.stack([own[name] for own in every], 1) for name in every[0]},
-            "food": food,
-            "target": torch.stack([sense(food, fish) for fish in (0, 1)], 1),
-            "other": torch.stack([sense(noses[1 - fish], fish) for fish in (0, 1)], 1),
-            "clearance": torch.stack(clearance, 1),
-            "gap": compute_gap(outlines[0], outlines[1]),
-        }
-        return TensorDict(now, starts.batch_size, device=starts.device)
+        """Also measure the gap of the two fish, and where each has the other."""
+        outlines, now = [solver.markers(fish) for fish in (0, 1)], super().measure(solver, starts)
+        noses, headings = [outline[:, 0] for outline in outlines], now["heading"].unbind(1)
+        other = [
+            sense_target(noses[fish], headings[fish], noses[1 - fish], body_length=self.body_length)
+            for fish in (0, 1)
+        ]
+        return now.set("other", torch.stack(other, 1)).set("gap", compute_gap(*outlines))
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> dict[str, Tensor]:
         """Add the penalty for contact, which both fish pay.
