@@ -92,18 +92,12 @@ def run_episodes(
             ``FlowEnv.on_frame`` stays.
         on_episodes: called after each decision with the number of episodes that it ended.
     """
-    base, num_starts = env.base_env, starts.shape[0]
+    base, num_starts, num_rows = env.base_env, starts.shape[0], env.batch_size[0]
     act = policy if base.task.num_fish == 1 else EachFish(policy)
-    device, num_rows, counted = base.device, env.batch_size[0], name_counted(env)
-    sums = {name: torch.zeros(num_starts, device=device) for name in ("reward", *name_terms(env))}
-    lengths = torch.zeros(num_starts, dtype=torch.int64, device=device)
-    flags = {
-        name: torch.zeros(num_starts, dtype=torch.bool, device=device)
-        for name in ("succeeded", "terminated", "diverged", *counted)
-    }
-    start_of = torch.arange(num_rows, device=device)
+    tally, traces = _Tally(env, num_starts), Traces(num_starts)
+    start_of = torch.arange(num_rows, device=base.device)
     start_of = start_of.masked_fill(start_of >= num_starts, -1)
-    num_begun, num_decisions, traces = num_rows, 0, Traces(num_starts)
+    num_begun, num_decisions = num_rows, 0
 
     def call(callback: Callable[[Tensor, Any], Values] | None, rows: Tensor, what: Any) -> None:
         if callback is not None and (values := callback(rows, what)):
@@ -125,34 +119,55 @@ def run_episodes(
             base.is_resting = ~is_open
             step = env.step(act(state))
             call(on_step, start_of, step)
-            after, index = step["next"], start_of[is_open]
-            for name, total in sums.items():
-                total[index] += average_fish(after, name)[is_open, 0]
-            lengths[index] += 1
-            ended = after.select("terminated", "diverged")
-            ended["succeeded"] = has_succeeded(after, base.task.success) & after["done"]
-            for name, (entry, column) in counted.items():
-                ended[name] = after[entry][:, column, None]
-            for name, flag in flags.items():
-                flag[index] = ended[name][is_open, 0]
+            tally.add(step["next"], start_of)
             # A reset hands the next starts to the rows that are done, in order of rows.
-            is_done = after["done"].squeeze(-1)
+            is_done = step["next", "done"].squeeze(-1)
+            if on_episodes is not None:
+                on_episodes(int((is_done & is_open).sum()))
             start_of = torch.where(is_done, num_begun + is_done.cumsum(0) - 1, start_of)
             start_of = start_of.masked_fill(start_of >= num_starts, -1)
             num_begun += int(is_done.sum())
-            if on_episodes is not None:
-                on_episodes(int((is_done & is_open).sum()))
             state, has_begun = env.maybe_reset(env.step_mdp(step)), is_done & (start_of >= 0)
-    done = {name: flag.cpu() for name, flag in flags.items()}
-    return Episodes(
-        returns=sums.pop("reward").cpu(),
-        terms={name: total.cpu() for name, total in sums.items()},
-        lengths=lengths.cpu(),
-        interval_T=base.task.interval_T,
-        counted={name: done.pop(name) for name in counted},
-        traces=traces,
-        **done,
-    )
+    return tally.finish(traces)
+
+
+class _Tally:
+    """Sums of rewards, lengths and flags of E episodes, updated after each decision."""
+
+    def __init__(self, env: TransformedEnv, num: int) -> None:
+        self.task, self.counted = env.base_env.task, name_counted(env)
+        flags = ("succeeded", "terminated", "diverged", *self.counted)
+        self.sums = {name: torch.zeros(num).to(env.device) for name in ("reward", *name_terms(env))}
+        self.lengths = torch.zeros(num, dtype=torch.int64, device=env.device)
+        self.flags = {name: torch.zeros_like(self.lengths, dtype=torch.bool) for name in flags}
+
+    def add(self, after: TensorDictBase, start_of: Tensor) -> None:
+        """Add a decision that led to the states ``after`` ``[B]``."""
+        is_open = start_of >= 0
+        index = start_of[is_open]
+        for name, total in self.sums.items():
+            total[index] += average_fish(after, name)[is_open, 0]
+        self.lengths[index] += 1
+        ended = {name: after[name] for name in ("terminated", "diverged")}
+        ended["succeeded"] = has_succeeded(after, self.task.success) & after["done"]
+        for name, (entry, column) in self.counted.items():
+            ended[name] = after[entry][:, column, None]
+        for name, flag in self.flags.items():
+            flag[index] = ended[name][is_open, 0]
+
+    def finish(self, traces: Traces) -> Episodes:
+        """Return the outcome."""
+        flags = {name: flag.cpu() for name, flag in self.flags.items()}
+        sums = {name: total.cpu() for name, total in self.sums.items()}
+        return Episodes(
+            returns=sums.pop("reward"),
+            terms=sums,
+            lengths=self.lengths.cpu(),
+            interval_T=self.task.interval_T,
+            counted={name: flags.pop(name) for name in self.counted},
+            traces=traces,
+            **flags,
+        )
 
 
 def count_decisions(task: AbstractTask, periods: float | None) -> int:

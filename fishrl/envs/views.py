@@ -45,19 +45,12 @@ def make_scene(task: AbstractTask) -> Scene:
     """
     extension = find_extension(task, HasScene)
     config, scales, num_fish = task.flow_config(), task.scales, task.num_fish
-    names = extension.action_names or tuple(f"action {index}" for index in range(task.num_actions))
-    wall_margin, is_continuous = task.wall_margin, task.action_bounds is not None
-    plots = (
-        ("tail-beat frequency [1/T]", "frequency", "frequency", True),
-        ("angle of attack [°]", "angle_of_attack", "angle", False),
-        ("power [ρ L⁴/T³]", "work", "power", True),
-    )
+    obstacles, margin = _name_obstacles(config), task.wall_margin
     force_bl = _FORCE_BL / _find_fastest(config, scales) ** 2
-    obstacles = _name_obstacles(config)
-    forces = tuple(
-        Series(key=f"{body}_impulse", column=column, label=f"{body}, {axis}", is_rate=True)
-        for body in ("fish", *obstacles)
-        for column, axis in enumerate("xy")
+    edges = Area(
+        key="edges",
+        low=(margin, margin),
+        high=(config.width - 1.0 - margin, config.height - 1.0 - margin),
     )
     scene = Scene(
         body_length=float(scales.body_length),
@@ -65,36 +58,10 @@ def make_scene(task: AbstractTask) -> Scene:
         height=config.height,
         title=_describe(task, extension),
         fields=make_fields(config, scales),
-        curves=(
-            *(Curve(key=name_fish("fish", i), colour=FISH) for i in range(num_fish)),
-            *(
-                Curve(key=name_fish("midline", i), colour=MIDLINE, is_closed=False, order=5.0)
-                for i in range(num_fish)
-            ),
-            *(Curve(key=key, colour=OBSTACLE) for key in obstacles[num_fish - 1 :]),
-        ),
-        arrows=(
-            *(
-                Arrow(key=f"{body}_force", at=f"{body}_centre", scale=force_bl * scales.body_length)
-                for body in ("fish", *obstacles)
-            ),
-            Arrow(
-                key="stream",
-                at=(0.02 * config.width, 0.06 * config.height),
-                scale=_STREAM_BL * scales.body_length,
-                colour=FISH,
-                name="stream",
-                unit="L/T",
-            ),
-        ),
+        curves=_draw_bodies(num_fish, obstacles),
+        arrows=_draw_arrows(config, scales.body_length, ["fish", *obstacles], force_bl=force_bl),
         trails=tuple(Trail(key=name_fish("head", i)) for i in range(num_fish)),
-        areas=(
-            Area(
-                key="edges",
-                low=(wall_margin, wall_margin),
-                high=(config.width - 1.0 - wall_margin, config.height - 1.0 - wall_margin),
-            ),
-        ),
+        areas=(edges,),
         panels=(
             Panel(
                 name="reward r, as ±log₂(1 + |r|)",
@@ -103,22 +70,63 @@ def make_scene(task: AbstractTask) -> Scene:
                 is_output=True,
                 is_log=True,
             ),
-            *_describe_actions(names, is_continuous=is_continuous, num_fish=num_fish),
-            *(
-                Panel(
-                    name=name,
-                    series=_plot_fish(key, label, num_fish, is_rate=key == "work"),
-                    is_step=is_step,
-                )
-                for name, key, label, is_step in plots
-            ),
-            Panel(name="force of the fluid [ρ L³/T²]", series=forces, is_step=True),
+            *_describe_actions(task, extension.action_names),
+            *_plot_motion(num_fish, ["fish", *obstacles]),
         ),
         note="Angle of attack: from upstream to the heading; in still water from the direction of "
         "swimming. Power of the muscles and force: means since the previous frame. Arrows: the "
         f"force now, {force_bl:.3g} L for 1 ρ L³/T².",
     )
     return extension.add_to_scene(scene)
+
+
+def _draw_bodies(num_fish: int, obstacles: Sequence[str]) -> tuple[Curve, ...]:
+    """Return the outlines of all bodies, and the midlines of the fish."""
+    names = range(num_fish)
+    return (
+        *(Curve(key=name_fish("fish", i), colour=FISH) for i in names),
+        *(
+            Curve(key=name_fish("midline", i), colour=MIDLINE, is_closed=False, order=5.0)
+            for i in names
+        ),
+        *(Curve(key=key, colour=OBSTACLE) for key in obstacles[num_fish - 1 :]),
+    )
+
+
+def _draw_arrows(
+    config: FlowConfig, length: float, bodies: Sequence[str], *, force_bl: float
+) -> tuple[Arrow, ...]:
+    """Return the forces on bodies, and the stream in the lower left corner."""
+    stream = Arrow(
+        key="stream",
+        at=(0.02 * config.width, 0.06 * config.height),
+        scale=_STREAM_BL * length,
+        colour=FISH,
+        name="stream",
+        unit="L/T",
+    )
+    forces = (
+        Arrow(key=f"{body}_force", at=f"{body}_centre", scale=force_bl * length) for body in bodies
+    )
+    return (*forces, stream)
+
+
+def _plot_motion(num_fish: int, bodies: Sequence[str]) -> tuple[Panel, ...]:
+    """Return the plots of tail beat, angle of attack and power of each fish, and of forces."""
+    forces = tuple(
+        Series(key=f"{body}_impulse", column=column, label=f"{body}, {axis}", is_rate=True)
+        for body in bodies
+        for column, axis in enumerate("xy")
+    )
+    beat = _plot_fish("frequency", "frequency", num_fish)
+    angle = _plot_fish("angle_of_attack", "angle", num_fish)
+    power = _plot_fish("work", "power", num_fish, is_rate=True)
+    return (
+        Panel(name="tail-beat frequency [1/T]", series=beat, is_step=True),
+        Panel(name="angle of attack [°]", series=angle),
+        Panel(name="power [ρ L⁴/T³]", series=power, is_step=True),
+        Panel(name="force of the fluid [ρ L³/T²]", series=forces, is_step=True),
+    )
 
 
 def _describe(task: AbstractTask, extension: HasScene) -> str:
@@ -149,12 +157,12 @@ def _plot_columns(key: str, labels: Sequence[str], *, is_rate: bool = False) -> 
     )
 
 
-def _describe_actions(
-    names: tuple[str, ...], *, is_continuous: bool, num_fish: int
-) -> tuple[Panel | Choice, ...]:
+def _describe_actions(task: AbstractTask, names: tuple[str, ...]) -> tuple[Panel | Choice, ...]:
     """Return the plots of the actions: one for each fish, or one of all continuous numbers."""
+    num_fish = task.num_fish
+    names = names or tuple(f"action {index}" for index in range(task.num_actions))
     owners = [f"fish {i}: " for i in range(num_fish)] if num_fish > 1 else [""]
-    if is_continuous:
+    if task.action_bounds is not None:
         labels = [owner + name for owner in owners for name in names]
         panel = Panel(
             name="action, from the least (−1) to the largest (1)",

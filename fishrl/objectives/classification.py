@@ -133,31 +133,17 @@ def fit_classifier(
             raise ValueError(f"{name} holds no samples: collect more or change the shares")
         if not part["lateral_line"].isfinite().all():
             raise ValueError(f"{name} holds NaN or infinity: exclude diverged episodes")
-    signals, labels = training["lateral_line"], training["flow_index"]
-    has_noise = bool(torch.as_tensor(noise).any())
     optimiser = torch.optim.Adam(
         classifier.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
     )
-    curves = Curves()
-    best_loss, kept = float("inf"), None
+    curves, best_loss, kept = Curves(), float("inf"), None
     for epoch in range(settings.num_epochs):
-        classifier.train()
-        loss_sum, num_right = signals.new_zeros(()), labels.new_zeros(())
-        for batch in torch.randperm(len(labels), generator=generator).split(settings.batch_size):
-            signal, label = signals[batch], labels[batch]
-            if has_noise:
-                drawn = torch.randn(signal.shape, generator=generator, dtype=signal.dtype)
-                signal = signal + noise * drawn.to(signal.device)
-            logits = classifier(signal)
-            loss = cross_entropy(logits, label)
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            loss_sum += loss.detach() * len(batch)
-            num_right += (logits.argmax(-1) == label).sum()
+        loss, accuracy = _fit_epoch(
+            classifier, training, optimiser, settings.batch_size, generator, noise
+        )
         score = score_classifier(classifier, validation)
-        curves.train_loss.append(float(loss_sum) / len(labels))
-        curves.train_accuracy.append(float(num_right) / len(labels))
+        curves.train_loss.append(loss)
+        curves.train_accuracy.append(accuracy)
         curves.validation_loss.append(score.loss)
         curves.validation_accuracy.append(score.accuracy)
         if settings.patience is None or score.loss < best_loss:
@@ -169,6 +155,34 @@ def fit_classifier(
         classifier.load_state_dict(kept)
     classifier.eval()
     return curves
+
+
+def _fit_epoch(
+    classifier: nn.Module,
+    data: TensorDictBase,
+    optimiser: torch.optim.Optimizer,
+    batch_size: int,
+    generator: torch.Generator,
+    noise: Tensor | float,
+) -> tuple[float, float]:
+    """Fit once to all data; return mean loss and accuracy, during which the weights change."""
+    signals, labels = data["lateral_line"], data["flow_index"]
+    has_noise = bool(torch.as_tensor(noise).any())
+    classifier.train()
+    loss_sum, num_right = signals.new_zeros(()), labels.new_zeros(())
+    for batch in torch.randperm(len(labels), generator=generator).split(batch_size):
+        signal, label = signals[batch], labels[batch]
+        if has_noise:
+            drawn = torch.randn(signal.shape, generator=generator, dtype=signal.dtype)
+            signal = signal + noise * drawn.to(signal.device)
+        logits = classifier(signal)
+        loss = cross_entropy(logits, label)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        loss_sum += loss.detach() * len(batch)
+        num_right += (logits.argmax(-1) == label).sum()
+    return float(loss_sum) / len(labels), float(num_right) / len(labels)
 
 
 @torch.no_grad()

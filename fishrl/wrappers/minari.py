@@ -70,8 +70,7 @@ def write_dataset(
         raise ValueError(
             f"task: {type(task).__name__} has several fish, but a Minari dataset has one agent"
         )
-    is_continuous, num = task.action_bounds is not None, task.num_actions
-    masked = () if is_continuous else ("action_mask",)
+    masked = () if task.action_bounds is not None else ("action_mask",)
     reported = [key for key in env.base_env.observation_spec if key not in masked]
 
     def read(start_of: Tensor, state: TensorDictBase) -> dict[str, Tensor]:
@@ -86,7 +85,7 @@ def write_dataset(
     ).traces
     buffers = []
     for index in range(len(starts)):
-        arrays = {key: each[index].numpy() for key, each in traces.items()}
+        arrays = {key: values.numpy() for key, values in traces.of(index).items()}
         masks = {key: arrays[key].astype(np.uint8) for key in masked}
         buffer = EpisodeBuffer(
             id=index,
@@ -100,17 +99,25 @@ def write_dataset(
         )
         buffers.append(buffer)
     os.environ["MINARI_DATASETS_PATH"] = str(Path(folder).expanduser().absolute())
-    size = env.observation_spec["observation_stack"].shape[-1]
-    seen = Box(-np.inf, np.inf, (size,), np.float32)
-    mask = Box(0, 1, (num,), np.uint8)  # TorchRL cannot read MultiBinary
+    seen, actions = _make_spaces(env)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # missing metadata for the public server
         return minari.create_dataset_from_buffers(
             name,
             buffers,
-            observation_space=Dict({"observation": seen, **dict.fromkeys(masked, mask)}),
-            action_space=Box(-1.0, 1.0, (num,), np.float32) if is_continuous else Discrete(num),
+            observation_space=seen,
+            action_space=actions,
             algorithm_name=algorithm,
             description=f"{len(starts)} episodes of {task}",
             requirements=["fishrl"],
         )
+
+
+def _make_spaces(env: TransformedEnv) -> tuple[Dict, Box | Discrete]:
+    """Return the spaces of observations and actions."""
+    task, size = env.base_env.task, env.observation_spec["observation_stack"].shape[-1]
+    seen, num = {"observation": Box(-np.inf, np.inf, (size,), np.float32)}, task.num_actions
+    if task.action_bounds is not None:
+        return Dict(seen), Box(-1.0, 1.0, (num,), np.float32)
+    mask = Box(0, 1, (num,), np.uint8)  # TorchRL cannot read MultiBinary
+    return Dict({**seen, "action_mask": mask}), Discrete(num)
