@@ -259,7 +259,7 @@ def _read_fish(solver: InPlaceSolver, index: int, scales: Scales) -> dict[str, T
 
 
 def describe_lateral_line(
-    line: LateralLine, *, body_length: float, speed: float
+    line: LateralLine, *, body_length: float, speed: float = _SWIMMING
 ) -> tuple[Marks, Panel]:
     """Return neuromasts coloured by what they sense, and a plot of it; keys: neuromasts, signal.
 

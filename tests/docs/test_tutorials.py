@@ -10,6 +10,7 @@ import pytest
 
 from fishrl.envs import AbstractTask, Flows
 from fishrl.envs.stations import SafeArea
+from fishrl.envs.views import make_scene
 from tests.docs.pages import PAGES, count_lines, list_pages, read_blocks
 from tests.envs.conftest import SMALL
 from tests.envs.test_real_flow import TINY
@@ -39,12 +40,12 @@ WRITTEN = {
 
 
 def make_printed_tasks(code: str, names: dict[str, Any]) -> None:
-    """Make each task that a block makes, with the arguments that the reader sees."""
+    """Make and draw each task that a block makes, with the arguments that the reader sees."""
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             kind = names.get(node.func.id)
             if isinstance(kind, type) and issubclass(kind, AbstractTask):
-                eval(ast.unparse(node), names)
+                make_scene(eval(ast.unparse(node), names))
 
 
 @pytest.mark.parametrize("page", ["../README.md", *list_pages()])

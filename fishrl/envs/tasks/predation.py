@@ -1,5 +1,6 @@
 """Predation, the paper's first task: catch moving food without touching a wall."""
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
 from math import ceil, floor, pi
@@ -191,6 +192,10 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
         now = {name: torch.stack([own[name] for own in each], 1) for name in each[0]}
         now = {name: value.view(*shape, *value.shape[2:]) for name, value in now.items()}
         return TensorDict(now, starts.batch_size, device=starts.device)
+
+    @abstractmethod
+    def report(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Return ``captured`` ``[B]``, whether the episode succeeds, at least."""
 
     def _measure_fish(self, solver: InPlaceSolver, index: int, food: Tensor) -> dict[str, Tensor]:
         body, markers = solver.bodies[index], solver.markers(index)

@@ -10,7 +10,7 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.collision import compute_force_increment, compute_macroscopic
+from fishrl.physics.collision import Collided, compute_force_increment, compute_macroscopic
 from fishrl.physics.fast.flow_memory import FlowData, GroupMemory
 from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.fast.part import Part, copy_tree
@@ -64,10 +64,26 @@ def make_skin_parts(
 ) -> SkinParts:
     """Return the parts of a skin, for flows with the ``sample``'s numbers.
 
-    They run between collision and edges, on outgoing populations. A new kind of skin registers its
-    own: ``@make_skin_parts.register``.
+    They run between collision and edges, on outgoing populations. By default the whole field passes
+    through ``skin.exchange``, eagerly; a kind of skin may register parts that compile and visit the
+    nodes near a body alone: ``@make_skin_parts.register``.
     """
-    raise TypeError(f"{type(skin).__name__} has no parts: see fast.body_parts.make_skin_parts")
+    kinds, rates = config.bodies, config.rates
+
+    def collect(memory: GroupMemory, parity: int) -> tuple[list[Tensor], Tensor, Bodies]:
+        omega = memory.omega[..., None]
+        omega = layout.strip_rings(memory.omega) if config.sponges else omega
+        return memory.outgoing(parity), omega, get_bodies(memory)
+
+    def act(f: list[Tensor], omega: Tensor, bodies: Bodies) -> None:
+        outgoing = [values.clone() for values in f]
+        force = torch.zeros_like(torch.stack(outgoing[:2], 1))
+        water = Collided(outgoing, compute_macroscopic(outgoing), force, omega, rates)
+        changed, moved = skin.exchange(water, kinds, *bodies)
+        copy_tree(f, changed)
+        copy_tree(bodies[1], moved)
+
+    return SkinParts(None, [Part("exchange", collect, act, None)])
 
 
 @make_skin_parts.register

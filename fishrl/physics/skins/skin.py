@@ -18,8 +18,8 @@ Body = TypeVar("Body", bound=BodyConfig)
 class Skin(Settings, ABC):
     """How bodies and water act on each other.
 
-    A skin of your own is a subclass in a file of its own, which registers the parts of the fast
-    step with ``fast.body_parts.make_skin_parts``.
+    A skin of your own is a subclass in a file of its own, with ``exchange``, which the fast step
+    calls, too; ``fast.body_parts.make_skin_parts`` registers parts that are faster.
 
     Attributes:
         marker_spacing: distance of a body's markers, nodes, unless the body gives its own.
