@@ -25,7 +25,7 @@ from fishrl.physics.cases import PERIODIC
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.fast import execution as execution_module
 from fishrl.physics.flow import Sponge, make_params, make_rest, make_uniform
-from fishrl.physics.skins import BounceBack, DirectSolve, ImmersedBoundary
+from fishrl.physics.skins import BounceBack, DirectSolve, ImmersedBoundary, Skin
 from fishrl.physics.step import step
 from tests.physics.flows import SCALES, advance, make_tank, read_state, start_solver
 
@@ -84,6 +84,16 @@ EDGES = {
 }
 
 
+class OwnSkin(Skin):
+    """The immersed boundary, with no parts of the fast step but the default."""
+
+    marker_spacing, spacing_range = ImmersedBoundary.marker_spacing, ImmersedBoundary.spacing_range
+    margin, jumps, has_water_inside = ImmersedBoundary.margin, False, True
+
+    def exchange(self, *water_and_bodies: Any) -> Any:
+        return ImmersedBoundary().exchange(*water_and_bodies)
+
+
 BEND, STRAIGHT = (-1.0, -0.4, -0.2), (0.0, 0.0, 0.0)
 STROKES = Strokes(
     sequence=(
@@ -108,6 +118,7 @@ CHANGES: dict[str, dict[str, Any]] = {
         "sponges": (Sponge(length=20), Sponge(length=8, side=Side.TOP)),
     },
     "in a sponge": {"boundaries": INLET, "stream_speed": 0.03, "sponges": (Sponge(length=90),)},
+    "skin of one's own": {"skin": OwnSkin(), "sponges": (Sponge(length=20),)},
     "direct solve": {"skin": ImmersedBoundary(force_solve=DirectSolve())},
     "sharp skin": {"bodies": (Fish(body_length=24, motion=Free()),), "skin": BounceBack()},
     "periodic both ways": {"boundaries": PERIODIC},
