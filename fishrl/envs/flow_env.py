@@ -267,8 +267,8 @@ class FlowEnv(EnvBase):
                 safe_until = reached + self._check(rows, is_last=stop.is_last)
             if on_frame:
                 on_frame(self)
-        series = torch.stack(rows.samples, 1) if rows.samples else {}
-        return rows.now.update(series), rows.diverged
+        now = rows.now.update(torch.stack(rows.samples, 1)) if rows.samples else rows.now
+        return now, rows.diverged
 
     def _check(self, rows: "_Rows", *, is_last: bool) -> float:
         """Measure the rows that end here, by termination or with the action.

@@ -8,6 +8,7 @@ import os
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tensordict import TensorDictBase
@@ -19,7 +20,7 @@ from fishrl.extras import show_install
 
 try:
     import minari
-    from gymnasium.spaces import Box, Dict, Discrete
+    from gymnasium.spaces import Box, Dict, Discrete, Space
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_dataset import parse_dataset_id
 except ImportError as error:
@@ -116,7 +117,8 @@ def write_dataset(
 def _make_spaces(env: TransformedEnv) -> tuple[Dict, Box | Discrete]:
     """Return the spaces of observations and actions."""
     task, size = env.base_env.task, env.observation_spec["observation_stack"].shape[-1]
-    seen, num = {"observation": Box(-np.inf, np.inf, (size,), np.float32)}, task.num_actions
+    seen: dict[str, Space[Any]] = {"observation": Box(-np.inf, np.inf, (size,), np.float32)}
+    num = task.num_actions
     if task.action_bounds is not None:
         return Dict(seen), Box(-1.0, 1.0, (num,), np.float32)
     mask = Box(0, 1, (num,), np.uint8)  # TorchRL cannot read MultiBinary
