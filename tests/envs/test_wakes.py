@@ -15,22 +15,23 @@ from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.collision import compute_macroscopic
 
+SPEED = 0.16  # nodes per step
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
 #: A half disc of 8 nodes at Re 100: far too coarse to trust, fast enough to test with.
 RECIPE = WakeRecipe(
     config=FlowConfig(
         width=72,
         height=48,
-        tau=0.5 + 3.0 * 0.12 * 8 / 100,
-        stream_speed=0.12,
+        tau=0.5 + 3.0 * SPEED * 8 / 100,
+        stream_speed=SPEED,
         bodies=(DCylinder(diameter=8.0),),
         boundaries=Boundaries(left=STREAM, right=OpenEdge(), bottom=STREAM, top=STREAM),
     ),
     position=(16.3, 23.5),
     heading=pi,
-    speeds=(0.12,),
+    speeds=(SPEED,),
     num_phases=4,
-    num_travels=30.0,
+    num_travels=24.0,
 )
 
 
@@ -43,7 +44,7 @@ def bank() -> WakeBank:
 def test_shedding_frequency_is_plausible(bank: WakeBank) -> None:
     """Strouhal numbers of half discs lie at 0.15 to 0.27, see the validation page."""
     assert bank.populations.shape == (1, 4, 9, 48, 72)
-    assert 0.15 < bank.shedding_frequencies.item() * 8 / 0.12 < 0.27
+    assert 0.15 < bank.shedding_frequencies.item() * 8 / SPEED < 0.27
 
 
 def test_snapshots_are_equal_parts_of_a_period_apart(bank: WakeBank) -> None:
@@ -67,7 +68,7 @@ def test_snapshots_are_equal_parts_of_a_period_apart(bank: WakeBank) -> None:
 
 def test_each_wake_has_its_own_speed(monkeypatch: pytest.MonkeyPatch) -> None:
     """One solver develops them all; vortices are left out, to save time."""
-    speeds, frequencies = (0.12, 0.10), iter((0.02, 0.05))
+    speeds, frequencies = (SPEED, 0.10), iter((0.02, 0.05))
     shed = lambda *_: SimpleNamespace(frequency=next(frequencies), mean=0.0)  # noqa: E731
     monkeypatch.setattr("fishrl.envs.wakes.measure_cycles", shed)
     monkeypatch.setattr("fishrl.envs.wakes.find_crossings", lambda _: [0.0])
