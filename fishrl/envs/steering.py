@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn.functional import relu
 
 from fishrl.envs.sensors import sense_target, wrap_angle
-from fishrl.files import load_tensors, staged
+from fishrl.files import load_tensors
 from fishrl.settings import Settings
 
 
@@ -100,8 +100,8 @@ class PolicySteering(Settings, Steering):
     observations one T apart, as in training, and each turn is divided by their number.
 
     Args:
-        path: file of ``save_weights``; by default of a policy trained on ``Predation`` in
-            still water at L = 50, which comes with the package.
+        path: file for ``load_weights``; by default of a policy trained on ``Predation`` in still
+            water at L = 50, which comes with the package.
         turn_degrees: turn per T.
         ahead_bl: distance of the point upstream of the nose, body lengths.
         decisions_per_T: the control rate; it learned with one.
@@ -146,23 +146,16 @@ class PolicySteering(Settings, Steering):
         return radians(self.turn_degrees) / every * (values.argmax(-1).double() - 1.0)
 
 
-def save_weights(layers: list[tuple[Tensor, Tensor]], path: str | Path) -> None:
-    """Write the weights ``[out, in]`` and biases ``[out]`` of a network with ReLU in between.
-
-    Those of a policy are in the ``nn.Linear`` among ``load_policy("runs/<name>").modules()``.
-    """
-    kept = [(weight.detach().cpu(), bias.detach().cpu()) for weight, bias in layers]
-    with staged(Path(path)) as stage:
-        torch.save(kept, stage)
-
-
 def load_weights(path: str | Path) -> list[tuple[Tensor, Tensor]]:
-    """Read the weights of a policy trained on ``Predation`` that ``save_weights`` wrote.
+    """Read a network with ReLU in between, of a policy trained on ``Predation``.
+
+    ``torch.save`` writes it: a list of weight ``[out, in]`` and bias ``[out]`` of each layer, the
+    ``nn.Linear`` among ``load_policy("runs/<name>").modules()``.
 
     Raises:
         ValueError: if the file holds no network with 16 inputs and 3 actions.
     """
-    what, remedy = "steering weights", "write the file with save_weights"
+    what, remedy = "steering weights", "see fishrl.envs.steering.load_weights"
     layers = load_tensors(path, what=what, remedy=remedy)
     try:
         shapes = [tuple(weight.shape) for weight, _ in layers]

@@ -16,7 +16,7 @@ from experiments import transfer
 from experiments.gait.trials import load_trial, make_trial, name_arm
 from fishrl.envs import KarmanGait, Oracle
 from fishrl.envs.control import DirectFrequencies
-from fishrl.envs.steering import PolicySteering, save_weights
+from fishrl.envs.steering import PolicySteering
 from fishrl.modules import LateralLineClassifier
 from fishrl.programs.train import RunCallback
 from fishrl.programs.train_settings import TRAINING
@@ -118,7 +118,7 @@ def test_run_with_classifier_resumes_exactly(trained: Path, tmp_path: Path) -> N
 def test_predation_policy_becomes_heading_controller(tmp_path: Path) -> None:
     path, policy = tmp_path / "steering.pt", load_policy("zoo/predation_sharp")
     layers = [module for module in policy.modules() if isinstance(module, nn.Linear)]
-    save_weights([(layer.weight, layer.bias) for layer in layers], path)
+    torch.save([(layer.weight.detach(), layer.bias.detach()) for layer in layers], path)
     steering = PolicySteering(path=str(path))
     observations = torch.zeros(3, steering.num_stacked, 4, dtype=torch.float64)
     assert steering.turn(observations).shape == (3,)
