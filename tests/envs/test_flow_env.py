@@ -51,7 +51,7 @@ def test_set_seed_repeats_random_starts(small_task: Predation) -> None:
     assert torch.equal(env.reset()["observation"], make_flows(small_task, 3).reset()["observation"])
 
 
-def test_given_starts_are_taken_in_order_of_resets_and_rows(small_task: Predation) -> None:
+def test_given_starts_follow_order_of_resets_and_rows(small_task: Predation) -> None:
     starts = small_task.sample_starts(5, torch.Generator().manual_seed(0))
     env = make_flows(small_task, 3, starts=starts)
     env.reset()

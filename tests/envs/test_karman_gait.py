@@ -60,7 +60,7 @@ def test_starts_are_uniform_in_the_given_flows_and_places() -> None:
     assert (starts["heading"] == pi).all()
 
 
-def test_actions_shift_the_gear_in_the_row_of_the_flow() -> None:
+def test_actions_shift_gear_in_row_of_flow() -> None:
     env, first = begin(3)
     assert first["observation"][:, 6].tolist() == [0.0, 0.0, 0.0]
     after = act(env, DECELERATE, CRUISE, ACCELERATE)
@@ -207,7 +207,7 @@ def test_steering_turns_the_fish_towards_the_centreline() -> None:
     assert env.task.report(env.now)["angle_of_attack"].item() == pytest.approx(0.05, abs=1e-6)
 
 
-def test_work_is_reported_in_its_unit_and_costs_reward_once() -> None:
+def test_work_has_its_unit_and_costs_reward_once() -> None:
     env, _ = begin(reward_terms=StationReward(rim_weight=0.0))
     unit = (20 * 20 / env.task.scales.period) ** 2  # rho L^2 (L / T)^2
     done = {"work": 0.3, "positive_work": 0.5, "lateral_work": 0.2, "torque_work": -0.1}

@@ -50,7 +50,7 @@ def test_starts_are_whole_nodes_in_the_papers_box(body_length: int) -> None:
     task.check_starts(starts)
 
 
-def test_range_of_starts_keeps_the_fish_clear_of_the_walls() -> None:
+def test_starts_keep_fish_clear_of_walls() -> None:
     task = Predation(**SMALL, start_x_bl=(8.0, 10.0), start_y_bl=(0.0, 5.0))
     (x_low, x_high), (y_low, y_high) = task.start_range
     assert (x_low, x_high) == (160, 176)  # the tail, 20 nodes behind, keeps 3 nodes from node 199

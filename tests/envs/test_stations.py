@@ -15,7 +15,7 @@ def test_margin_is_the_distance_from_the_danger_area() -> None:
     torch.testing.assert_close(area.measure_margin(places), margins)
 
 
-def test_terms_of_the_reward_add_up_as_in_the_paper() -> None:
+def test_reward_terms_add_up_as_in_the_paper() -> None:
     """One row for each term, and one that drifts no more than it may."""
     task = KarmanGait(reward_terms=StationReward(work_reference=2.0))
     x = torch.full((7,), 2.0).double()

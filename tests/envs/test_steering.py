@@ -69,7 +69,7 @@ def test_network_turns_the_fish_by_its_most_probable_action(tmp_path: Path) -> N
     torch.testing.assert_close(steering.turn(seen), radians(5.0) * (expected.double() - 1.0))
 
 
-def test_keys_depend_on_the_weights_and_not_on_their_path(tmp_path: Path) -> None:
+def test_keys_depend_on_weights_not_on_path(tmp_path: Path) -> None:
     paths = [tmp_path / name for name in "ab"]
     keys = []
     for seed in range(2):

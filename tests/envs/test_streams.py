@@ -58,7 +58,7 @@ def test_each_disc_has_one_file_of_wakes(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_flow_index_is_the_nearest_speed_behind_the_same_disc() -> None:
+def test_flow_index_is_nearest_speed_behind_same_disc() -> None:
     changes = StreamSwitches(interval_T=0.45, ramp_T=0.4, speeds_bl=(1.0, 1.4))
     task = make_task(replace(VARIED, changes=changes), control_interval_T=0.5, checks_per_action=13)
     starts = task.sample_starts(2, torch.Generator().manual_seed(0))

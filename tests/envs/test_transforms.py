@@ -130,7 +130,7 @@ def test_memory_discounts_earlier_output_within_an_episode(tmp_path: Path) -> No
     assert ends[:, :5].sum(1).flatten().tolist() == [1, 1, 0]  # at different times
 
 
-def test_switching_rate_gives_the_filter_of_a_hidden_markov_model(tmp_path: Path) -> None:
+def test_switching_rate_gives_hidden_markov_filter(tmp_path: Path) -> None:
     """Against the sum over every path of flows, each weighted by its probability."""
     rate, num = 0.3, 5
     env = make_predicted(tmp_path, 9, memory=1.0, switching_rate=rate)

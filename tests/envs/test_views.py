@@ -121,7 +121,7 @@ def test_angle_of_attack_of_bending_fish_is_its_heading() -> None:
     torch.testing.assert_close(read(env)["angle_of_attack"], env.measure()["heading"].rad2deg())
 
 
-def test_only_a_fish_that_feels_its_lateral_line_shows_it() -> None:
+def test_lateral_line_is_shown_only_if_felt() -> None:
     for senses, shows in ((("place", "own_motion"), False), (("own_motion", "lateral_line"), True)):
         scene = make_scene(KarmanGait(**GAIT, observes=senses))
         assert [mark.key for mark in scene.marks] == ["neuromasts"] * shows

@@ -17,7 +17,14 @@ from fishrl.training.run_folder import write_json
 from tests.training.conftest import make_run_folder
 
 
-@pytest.mark.parametrize("name", reproduce.main.command_line.list_choices()["scale"])
+def mark(scale: str) -> object:
+    """Return a scale, slow unless it is the smallest or the paper's: only numbers differ."""
+    return scale if scale in ("tiny", "paper") else pytest.param(scale, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize(
+    "name", [mark(scale) for scale in reproduce.main.command_line.list_choices()["scale"]]
+)
 def test_stages_of_scale_are_valid_commands(name: str, tmp_path: Path) -> None:
     scale = replace(reproduce.main.read([f"scale={name}"]).scale, seeds=(0,))
     stages = list(list_stages(scale, tmp_path))
