@@ -47,6 +47,11 @@ class Learner(ABC):
         self.actor, self.explorer, self.loss = networks.actor, networks.explorer, networks.loss
         self.transforms, self._is_traced = networks.transforms, networks.is_traced
         self.reports, self._keys = tuple(self.loss.out_keys), [*self.loss.in_keys, *networks.keys]
+        if not any(name.startswith("loss_") for name in self.reports):
+            raise ValueError(
+                f"{type(self.loss).__name__} has the outputs {list(self.reports)}: the sum of "
+                "those named loss_... is minimised; rename one in a subclass, as MaskedDQNLoss does"
+            )
         self.optimiser = torch.optim.Adam(
             self.loss.parameters(), lr=settings.learning_rate, fused=True
         )

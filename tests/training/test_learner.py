@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import gc
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
+from torchrl.objectives import DQNLoss
 
 from fishrl.training import DiscreteSAC
+from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.metrics import measure_memory_mb
+from fishrl.training.policy_spec import PolicySpec
 from tests.training.conftest import QUICK, Toy
 
 
@@ -20,6 +24,18 @@ def test_state_without_legal_action_is_refused(toy: Toy) -> None:
     batch["next", "action_mask"][3] = False
     with pytest.raises(ValueError, match="a state has no legal action"):
         training.learner.store(batch)
+
+
+class Unnamed(DQN):
+    """An algorithm with a loss of TorchRL whose output has another name."""
+
+    def make_loss(self, policy: Any, spec: PolicySpec, generator: torch.Generator) -> DQNLoss:
+        return DQNLoss(policy, action_space="categorical")
+
+
+def test_loss_without_named_outputs_is_refused(toy: Toy) -> None:
+    with pytest.raises(ValueError, match=r"DQNLoss has the outputs \['loss'\]: the sum of those"):
+        toy.begin(algorithm=Unnamed())
 
 
 def count_tensors() -> int:
