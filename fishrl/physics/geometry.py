@@ -48,7 +48,7 @@ def place_markers(state: BodyState, deformation: Deformation) -> Markers:
     rx, ry = arm.unbind(-1)
     spin = deformation.spin[:, None]
     velocity = rotate(state, deformation.axial_velocity, deformation.lateral_velocity)
-    velocity = velocity + torch.stack((-spin * ry, spin * rx), -1)
+    velocity = velocity + join(-spin * ry, spin * rx)
     return Markers(state.position[:, None] + arm, arm, velocity)
 
 
@@ -56,7 +56,19 @@ def rotate(state: BodyState, axial: Tensor, lateral: Tensor) -> Tensor:
     """Rotate vectors along and across the body's axis into the flow's frame, ``[B, N, 2]``."""
     cos, sin = compute_axis(state)
     cos, sin = cos[:, None], sin[:, None]
-    return torch.stack((cos * axial - sin * lateral, sin * axial + cos * lateral), -1)
+    return join(cos * axial - sin * lateral, sin * axial + cos * lateral)
+
+
+def join(x: Tensor, y: Tensor) -> Tensor:
+    """Return vectors ``[B, N, 2]`` whose components ``[B, N]`` lie apart in memory, for loops."""
+    return torch.stack((x, y), 1).mT
+
+
+def compute_velocity(markers: Markers, velocity: Tensor, angular_velocity: Tensor) -> Tensor:
+    """Return the markers' velocity ``[B, N, 2]`` at rates ``[B, 2]`` and ``[B]`` of the body."""
+    (rx, ry), (ux, uy) = markers.arm.unbind(-1), markers.deformation_velocity.unbind(-1)
+    (x, y), omega = velocity[..., None].unbind(1), angular_velocity[:, None]
+    return join(x - omega * ry + ux, y + omega * rx + uy)
 
 
 def compute_axis(state: BodyState) -> tuple[Tensor, Tensor]:

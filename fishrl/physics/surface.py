@@ -8,7 +8,7 @@ from torch import Tensor
 
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.geometry import Outline
+from fishrl.physics.geometry import Outline, compute_velocity
 
 
 class Freedom(NamedTuple):
@@ -55,9 +55,7 @@ def prescribe_surface(
     last = *state.velocity.unbind(-1), state.angular_velocity
     for axis in motion.free_axes:
         rates[axis] = last[axis]
-    linear, omega = torch.stack(rates[:2], -1), rates[2]
-    spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1) * omega[:, None, None]
-    velocity = (linear[:, None] + spin + markers.deformation_velocity).to(dtype).mT
+    velocity = compute_velocity(markers, torch.stack(rates[:2], -1), rates[2]).to(dtype).mT
     rx, ry = (arm.to(dtype) for arm in markers.arm.unbind(-1))
     excess = params.density_ratio - (1.0 if has_water_inside else 0.0)
     one = torch.ones_like(rx)

@@ -17,14 +17,8 @@ from fishrl.physics.flow import make_params, make_rest, make_uniform
 from fishrl.physics.geometry import locate_markers
 from fishrl.physics.lattice import CX, CY
 from fishrl.physics.skins import BounceBack, ImmersedBoundary, Skin
-from fishrl.physics.skins.links import (
-    MARGIN,
-    Links,
-    find_links,
-    find_passed,
-    to_links,
-    to_markers,
-)
+from fishrl.physics.skins import links as links_module
+from fishrl.physics.skins.links import AGAINST, ALONG, MARGIN, Links, to_links, to_markers
 from tests.physics.flows import advance, start_solver
 
 SIZE = 64
@@ -57,6 +51,18 @@ def draw_outline(seed: int) -> Tensor:
     return locate_markers(body.make_params(), state)
 
 
+def find_links(outline: Tensor, width: int = SIZE, height: int = SIZE) -> Links:
+    families = links_module.make_families(outline.device)
+    counts, size = [outline.shape[1]], (width, height)
+    return links_module.find_links(outline, counts, size, families, torch.float64)
+
+
+def list_directions(links: Links) -> Tensor:
+    """Return the number of each link's direction, ``[1, 4, N]``."""
+    along, against = (torch.tensor(each)[:, None] for each in (ALONG, AGAINST))
+    return torch.where(links.sign > 0, along, against)
+
+
 def contains(outline: Tensor, x: Tensor, y: Tensor) -> Tensor:
     """Return whether points lie inside, by the angle under which they see the outline turn."""
     to = outline[0, :, None] - torch.stack((x, y), -1).double().view(-1, 2)
@@ -69,15 +75,15 @@ def contains(outline: Tensor, x: Tensor, y: Tensor) -> Tensor:
 @pytest.mark.parametrize("seed", range(12))
 def test_an_outline_cuts_every_link_from_outside_to_inside_once(seed: int) -> None:
     outline = draw_outline(seed)
-    links = find_links(outline, SIZE, SIZE)
+    links = find_links(outline)
     y, x = torch.meshgrid(torch.arange(SIZE), torch.arange(SIZE), indexing="ij")
     inside = contains(outline, x, y)
     expected = set()
     for q, (cx, cy) in enumerate(zip(CX, CY, strict=True)):
         cut = ~inside & inside.roll((-cy, -cx), (0, 1))
         expected |= {(int(i), int(j), q) for j, i in cut.nonzero()}
-    cut = links.is_cut[0]
-    found = list(zip(*(part[0][cut].tolist() for part in (links.x, links.y, links.q)), strict=True))
+    parts = links.x, links.y, list_directions(links)
+    found = list(zip(*(part[links.sign != 0].tolist() for part in parts), strict=True))
     ends_inside = [inside[j + CY[q], i + CX[q]].item() for i, j, q in found]
     # a thin tail is cut on both sides of links that begin and end outside
     thick = [link for link, is_in in zip(found, ends_inside, strict=True) if is_in]
@@ -89,21 +95,23 @@ def test_an_outline_cuts_every_link_from_outside_to_inside_once(seed: int) -> No
 @pytest.mark.parametrize("seed", range(4))
 def test_a_link_meets_the_skin_where_its_crossing_is(seed: int) -> None:
     outline = draw_outline(seed)
-    links = find_links(outline, SIZE, SIZE)
-    for axis, (node, step) in enumerate(((links.x, links.cx), (links.y, links.cy))):
-        reached = node + links.fraction * step
-        crossing = to_links(outline[..., axis], links)
-        error = torch.where(links.is_cut, reached - crossing, 0.0)
+    links = find_links(outline)
+    q = list_directions(links)
+    for axis, (node, c) in enumerate(((links.x, CX), (links.y, CY))):
+        reached = node + links.fraction * torch.tensor(c)[q]
+        crossing = to_links(outline[..., axis], links, [outline.shape[1]])
+        error = torch.where(links.sign != 0, reached - crossing, 0.0)
         assert float(error.abs().max()) < 1e-9
 
 
 def test_marker_forces_preserve_power_and_torque() -> None:
     torch.manual_seed(0)
     outline = draw_outline(0)
-    links = find_links(outline, SIZE, SIZE)
-    force, speed = torch.rand(1, 4, outline.shape[1]).double(), torch.rand(outline[..., 0].shape)
-    power = (force * to_links(speed.double(), links)).sum()
-    assert float((to_markers(force, links) * speed.double()).sum()) == pytest.approx(float(power))
+    links = find_links(outline)
+    counts = [outline.shape[1]]
+    force, speed = torch.rand(1, 4, *counts).double(), torch.rand(1, *counts).double()
+    power = (force * to_links(speed, links, counts)).sum()
+    assert float((to_markers(force, links, counts) * speed).sum()) == pytest.approx(float(power))
 
 
 def find_inside(outline: Tensor) -> Tensor:
@@ -118,10 +126,11 @@ def test_each_node_that_changes_sides_is_passed_once(seed: int) -> None:
     push = 0.1 * torch.rand(2, dtype=torch.float64)
     bend = 0.002 * (before[..., :1] - before.mean(1)[:, :1]) ** 2
     now = before + push + torch.cat((0.0 * bend, bend.clamp(max=0.2)), -1)
-    passed = find_passed(before, now, SIZE, SIZE)
-    change = torch.zeros(SIZE, SIZE, dtype=torch.int32)
+    counts = [before.shape[1]]
+    passed = links_module.find_passed(before, now, counts, (SIZE, SIZE), torch.float64)
+    change = torch.zeros(SIZE, SIZE, dtype=torch.float64)
     change.index_put_((passed.y[0], passed.x[0]), passed.turns[0], accumulate=True)
-    expected = find_inside(now).int() - find_inside(before).int()
+    expected = find_inside(now).double() - find_inside(before).double()
     assert int(expected.abs().sum()) > 2
     assert torch.equal(change, expected)
 
@@ -265,14 +274,21 @@ def test_links_within_margin_are_on_grid(
         edge = torch.where(low, outline.amin(1), outline.amax(1))
         inwards = torch.where(low, 1e-9, -1e-9)  # a placed outline lies within the margin
         outline = outline - edge + torch.tensor(corner, dtype=torch.float64) + inwards
-        here, free = find_links(outline, SIZE, SIZE), find_links(outline + 100, 1000, 1000)
+        here, free = find_links(outline), find_links(outline + 100, 1000, 1000)
         for node, shifted in ((here.x, free.x), (here.y, free.y)):
-            assert torch.equal(node[here.is_cut], shifted[free.is_cut] - 100)
+            assert torch.equal(node[here.sign != 0], shifted[free.sign != 0] - 100)
 
 
 def test_links_of_a_body_beyond_the_grid_stay_within_it() -> None:
     outline = draw_outline(1) + 1000.0
-    for links in (find_links(outline, SIZE, SIZE), find_links(outline * math.nan, SIZE, SIZE)):
+    for links in (find_links(outline), find_links(outline * math.nan)):
         assert isinstance(links, Links)
         for node in (links.x, links.y):
             assert int(node.min()) >= 2 and int(node.max()) <= SIZE - 3
+
+
+def test_number_of_markers_is_a_multiple_of_the_skins() -> None:
+    plain, rounded = (
+        BounceBack(marker_multiple=n).fit(Cylinder(diameter=16)).num_markers for n in (1, 16)
+    )
+    assert rounded == -(-plain // 16) * 16 > plain

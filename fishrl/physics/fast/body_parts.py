@@ -15,11 +15,10 @@ from fishrl.physics.fast.flow_memory import FlowData, GroupMemory
 from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.fast.part import Part, copy_tree
 from fishrl.physics.flow import FlowConfig
-from fishrl.physics.lattice import Q
 from fishrl.physics.skins.bounce_back import (
     BounceBack,
     Contact,
-    find_contacts,
+    find_contact,
     pass_nodes_,
     reflect_,
 )
@@ -29,16 +28,12 @@ from fishrl.physics.skins.immersed_boundary import (
     couple_bodies,
     locate_bodies,
 )
+from fishrl.physics.skins.links import make_families
 from fishrl.physics.skins.skin import Skin
-from fishrl.physics.skins.slots import Slots, make_lattice
+from fishrl.physics.skins.slots import Slots, make_offsets
 
 Tree = TypeVar("Tree", bound=tuple[object, ...])
 Bodies = tuple[tuple[BodyParams, ...], tuple[BodyState, ...]]
-#: Populations of a group, ``[Q]`` int64 offsets of the slots of each outgoing population, and
-#: ``[B]`` int64 cells of each flow's node (0, 0).
-Places = tuple[Tensor, Tensor, Tensor]
-Contacts = tuple[Contact, ...]
-
 BODY_SETTINGS: dict[str, dict[str, object]] = {
     # The part is small and scatters: one thread, and weights are kept, not computed again for every
     # pair of markers (six times slower at L = 100).
@@ -90,70 +85,39 @@ def make_skin_parts(
 def _make_bounce_back(
     skin: BounceBack, config: FlowConfig, layout: InPlaceLayout, sample: FlowData
 ) -> SkinParts:
-    """Find all contacts first; then reflect populations, find the new contacts, uncover nodes.
+    """Find the contact first; then reflect populations, find the new contact, uncover nodes.
 
-    Their tensors are the grid, the bodies, their contacts before and after a step.
+    Their tensors are the populations, the bodies, the contact before and after a step.
     """
     device, kinds, size = sample.clock.device, config.bodies, (config.width, config.height)
-    places, lattice = find_places(layout, device), make_lattice(device)
+    find_slots = make_finder(layout, device)
+    bodies = sample.params.bodies, sample.bodies
     # before even and before odd steps; bodies that never move have one for both
-    even, odd = (
-        keep(find_contacts(kinds, sample.params.bodies, sample.bodies, size)) for _ in range(2)
-    )
-    each = zip(kinds, even, odd, strict=True)
-    contacts = even, tuple(first if body.is_still else other for body, first, other in each)
+    even = keep(find_contact(kinds, *bodies, size, make_families(device), torch.float32))
+    contacts = even, even if config.is_still else keep(even)
 
-    def collect(memory: GroupMemory, parity: int) -> tuple[Grid, Bodies, Contacts, Contacts]:
-        before, after = contacts[parity], contacts[1 - parity]
-        grid = Grid(memory.outgoing(parity)[0], lattice, *places(memory, parity))
-        return grid, get_bodies(memory), before, after
+    def collect(memory: GroupMemory, parity: int) -> tuple[Slots, Bodies, Contact, Contact]:
+        slots = find_slots(memory, parity)
+        return slots, get_bodies(memory), contacts[parity], contacts[1 - parity]
 
-    def locate(grid: Grid, bodies: Bodies, before: Contacts, after: Contacts) -> None:
-        copy_tree(after, find_contacts(kinds, *bodies, grid.size))
+    def locate(slots: Slots, bodies: Bodies, before: Contact, after: Contact) -> None:
+        contact = find_contact(kinds, *bodies, slots.size, slots.families, slots.data.dtype)
+        copy_tree(after, contact)
 
-    def follow(grid: Grid, bodies: Bodies, before: Contacts, after: Contacts) -> None:
-        copy_tree(after, find_contacts(kinds, *bodies, grid.size, before))
+    def reflect(slots: Slots, bodies: Bodies, before: Contact, after: Contact) -> None:
+        copy_tree(bodies[1], reflect_(kinds, *bodies, before, slots))
 
-    def reflect(grid: Grid, bodies: Bodies, before: Contacts, after: Contacts) -> None:
-        copy_tree(bodies[1], reflect_(kinds, *bodies, before, grid.list_slots()))
-
-    def uncover(grid: Grid, bodies: Bodies, before: Contacts, after: Contacts) -> None:
-        passed = pass_nodes_(kinds, bodies[1], before, after, grid.list_slots(), grid.size)
+    def uncover(slots: Slots, bodies: Bodies, before: Contact, after: Contact) -> None:
+        passed = pass_nodes_(kinds, bodies[1], before, after, slots)
         for body, state in zip(bodies[1], passed, strict=True):
             body.surplus.copy_(state.surplus)
             body.slip_impulse.copy_(state.slip_impulse)
 
-    # stacked arrays are written at once: each of their parts would be a tensor made in every call
-    settings = BODY_SETTINGS | {"cpu": BODY_SETTINGS["cpu"] | {"force_pointwise_cat": True}}
-    start = moved = Part("contact", collect, locate, settings, any_grid=True)
+    contact = Part("contact", collect, locate, BODY_SETTINGS, any_grid=True)
     reflection = Part("reflection", collect, reflect, BODY_SETTINGS, any_grid=True)
-    if config.is_still:
-        return SkinParts(start, [reflection])
-    if any(body.is_still for body in kinds):
-        moved = Part("moved contact", collect, follow, settings, any_grid=True)
     uncovering = Part("uncovering", collect, uncover, BODY_SETTINGS, any_grid=True)
-    return SkinParts(start, [reflection, moved, uncovering])
-
-
-class Grid(NamedTuple):
-    """A group's outgoing populations; code for any grid has its sizes from here."""
-
-    nodes: Tensor  #: ``[B, Y, X]`` the first of them
-    lattice: Tensor  #: as ``Slots`` holds it
-    data: Tensor  #: as ``Places``
-    offsets: Tensor  #: as ``Places``
-    first: Tensor  #: as ``Places``
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in nodes."""
-        return self.nodes.shape[2], self.nodes.shape[1]
-
-    def list_slots(self) -> Slots:
-        """Return all of them; the corner of a flow's ring is scrap."""
-        row_length = self.nodes.stride(1)
-        scrap = self.first - (row_length + 1) + self.offsets[0]
-        return Slots(self.data, self.offsets, self.first, row_length, scrap, self.lattice)
+    moving = [] if config.is_still else [contact, uncovering]
+    return SkinParts(contact, [reflection, *moving])
 
 
 @make_skin_parts.register
@@ -167,7 +131,7 @@ def _make_immersed_boundary(
     stay still, located once. Others are located in each step.
     """
     device, kinds, size = sample.clock.device, config.bodies, (config.width, config.height)
-    places, row_length, origin = find_places(layout, device), layout.row_length, layout.first_cell
+    find_slots, origin = make_finder(layout, device), layout.first_cell
     force = [torch.zeros(layout.num_cells, device=device) for _ in range(2)]
     rates, has_field = config.rates, bool(config.sponges)
 
@@ -178,23 +142,22 @@ def _make_immersed_boundary(
 
     def collect(
         memory: GroupMemory, parity: int
-    ) -> tuple[Places, Tensor, list[Tensor], Bodies, BodyGeometry | tuple[()]]:
-        return places(memory, parity), memory.omega, force, get_bodies(memory), kept
+    ) -> tuple[Slots, Tensor, list[Tensor], Bodies, BodyGeometry | tuple[()]]:
+        return find_slots(memory, parity), memory.omega, force, get_bodies(memory), kept
 
     def act(
-        places: Places,
+        slots: Slots,
         omega: Tensor,
         force: list[Tensor],
         bodies: Bodies,
         geometry: BodyGeometry | tuple[()],
     ) -> None:
         """Couple as in ``ImmersedBoundary.exchange``, at the marker nodes alone."""
-        data, offsets, first_cell = places
         geometry = geometry or locate(bodies)
-        own = geometry.stencil.index_nodes(row_length)
-        nodes = own + first_cell[:, None, None]
-        slots = [nodes + offsets[q] for q in range(Q)]
-        fluid = compute_macroscopic([data[slot] for slot in slots])
+        own = geometry.stencil.index_nodes(slots.nodes.stride(1))
+        nodes = own + slots.first[:, None, None]
+        leaving = [nodes + offset for offset in slots.offsets.leaving.unbind()]
+        fluid = compute_macroscopic([slots.data[places] for places in leaving])
         moved, *shares = couple_bodies(skin, kinds, *bodies, geometry, fluid)
         for total, share in zip(force, shares, strict=True):
             total.index_put_((nodes,), share, accumulate=True)
@@ -204,8 +167,8 @@ def _make_immersed_boundary(
             relaxation = omega[..., None]
         whole, part = (force[0][nodes], force[1][nodes]), (shares[0], shares[1])
         increment = compute_force_increment(fluid, whole, relaxation, rates, share=part)
-        for slot, values in zip(slots, increment, strict=True):
-            data.index_put_((slot,), values, accumulate=True)
+        for places, values in zip(leaving, increment, strict=True):
+            slots.data.index_put_((places,), values, accumulate=True)
         for total in force:
             total.index_put_((nodes,), torch.zeros_like(fluid.drho))
         copy_tree(bodies[1], moved)
@@ -231,17 +194,24 @@ def get_bodies(memory: GroupMemory) -> Bodies:
     return memory.flow.params.bodies, memory.flow.bodies
 
 
-def find_places(
-    layout: InPlaceLayout, device: torch.device
-) -> Callable[[GroupMemory, int], Places]:
+def make_finder(layout: InPlaceLayout, device: torch.device) -> Callable[[GroupMemory, int], Slots]:
     """Return what finds the outgoing populations of a group, at even or odd steps."""
-    flows = torch.arange(layout.num_envs, device=device)
-    first_cell = flows * layout.flow_length + layout.first_cell
-    offsets = [torch.tensor(layout.offsets(parity, True), device=device) for parity in (0, 1)]
-    return lambda memory, parity: (memory.populations, offsets[parity], first_cell)
+    first = torch.arange(layout.num_envs, device=device) * layout.flow_length + layout.first_cell
+    families = make_families(device)
+    offsets = [
+        make_offsets(layout.offsets(parity, True), layout.offsets(1 - parity, False), device)
+        for parity in (0, 1)
+    ]
+
+    def find(memory: GroupMemory, parity: int) -> Slots:
+        corner = first - layout.first_cell + offsets[parity].leaving[0]  # of a flow's ring
+        nodes = memory.outgoing(parity)[0]
+        return Slots(nodes, memory.populations, offsets[parity], first, corner, families)
+
+    return find
 
 
 def keep(tree: Tree) -> Tree:
     """Return memory for tensors like those of a tree, with their content."""
-    kept: Tree = pytree.tree_map(lambda t: t.clone(memory_format=torch.contiguous_format), tree)
+    kept: Tree = pytree.tree_map(lambda t: t.clone(), tree)
     return kept

@@ -11,22 +11,28 @@ from torch import Tensor
 
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.collision import Collided
-from fishrl.physics.geometry import Outline, locate_outline
-from fishrl.physics.lattice import Q, W
+from fishrl.physics.collision import (
+    Collided,
+    compute_equilibrium,
+    compute_macroscopic,
+    compute_moments,
+)
+from fishrl.physics.geometry import Outline, compute_velocity, locate_outline
 from fishrl.physics.rigid_motion import measure_gain, move_body, report_body
 from fishrl.physics.skins.links import (
     MARGIN,
     MAX_SPACING,
+    Families,
     Links,
     find_links,
     find_passed,
+    follow,
     to_links,
     to_markers,
 )
 from fishrl.physics.skins.skin import Body, Skin
 from fishrl.physics.skins.slots import Slots, copy_slots
-from fishrl.physics.surface import eliminate, prescribe_surface
+from fishrl.physics.surface import Surface, eliminate, prescribe_surface
 
 #: Part of a body's ``surplus`` and ``slip_impulse`` that is given back in a step: fast enough to
 #: keep the pressure, slow enough that single nodes do not shake the body.
@@ -53,12 +59,12 @@ class BounceBack(Skin):
         states: Sequence[BodyState],
     ) -> tuple[list[Tensor], tuple[BodyState, ...]]:
         """Reflect what meets the skins, move the bodies, and fill the nodes that they leave."""
-        height, width = water.f[0].shape[-2:]
         slots = copy_slots(water.add_force(water.force))
-        before = find_contacts(bodies, params, states, (width, height))
+        grid = slots.size, slots.families, slots.data.dtype
+        before = find_contact(bodies, params, states, *grid)
         states = reflect_(bodies, params, states, before, slots)
-        after = find_contacts(bodies, params, states, (width, height), before)
-        states = pass_nodes_(bodies, states, before, after, slots, (width, height))
+        after = find_contact(bodies, params, states, *grid)
+        states = pass_nodes_(bodies, states, before, after, slots)
         return slots.get_nodes(water.f[0]), states
 
     def fit(self, body: Body) -> Body:
@@ -73,39 +79,52 @@ class BounceBack(Skin):
 
 
 class Contact(NamedTuple):
-    """Where the skin of one body meets the lattice."""
+    """Where the skins meet the lattice; the markers of the bodies follow each other in N."""
 
-    outline: Outline  #: where the body is
-    links: Links  #: links that its outline cuts
+    outlines: tuple[Outline, ...]  #: where the bodies are
+    links: Links  #: links that the outlines cut
 
 
-def find_contacts(
+def find_contact(
     bodies: Sequence[BodyConfig],
     params: Sequence[BodyParams],
     states: Sequence[BodyState],
     size: tuple[int, int],
-    last: Sequence[Contact] | None = None,
-) -> tuple[Contact, ...]:
-    """Deform and place each body, and find the links that its outline cuts.
+    families: Families,
+    dtype: torch.dtype,
+) -> Contact:
+    """Deform and place each body, and find the links that the outlines cut, of ``dtype``.
 
-    The grid has a ``size`` of (width, height) nodes. With the contacts of the ``last`` step, bodies
-    that never move keep theirs.
+    The grid has a ``size`` of (width, height) nodes.
     """
-    contacts = []
-    for m, (body, own, state) in enumerate(zip(bodies, params, states, strict=True)):
-        if last is not None and body.is_still:
-            contacts.append(last[m])
-        else:
-            outline = locate_outline(body, own, state)
-            contacts.append(Contact(outline, find_links(outline.markers.position, *size)))
-    return tuple(contacts)
+    each = zip(bodies, params, states, strict=True)
+    outlines = tuple(locate_outline(*body) for body in each)
+    places = torch.cat([outline.markers.position for outline in outlines], 1)
+    return Contact(outlines, find_links(places, _count(bodies), size, families, dtype))
+
+
+class Meeting(NamedTuple):
+    """What meets the skins; ``[B, 4, N]`` each, zero where no link is cut."""
+
+    direction: Tensor  #: (x, y) ``[2, B, 4, N]`` of the link into the body
+    arriving: Tensor  #: f'_i at the node outside
+    still: Tensor  #: what returns from a skin at rest
+    gain: Tensor  #: what returns less per velocity of the skin along the link
+    inside: Tensor  #: place of the node inside, int32
+    back: Tensor  #: offset of the population that leaves it along the link, int64
+
+    def reflect(self, velocity: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what comes back from a skin of a velocity, and the force on it, like direction."""
+        returning = self.still - self.gain * (self.direction * velocity).sum(0)
+        both, lost = self.arriving + returning, self.arriving - returning
+        return returning, self.direction * both - velocity * lost
 
 
 def reflect_(
     bodies: Sequence[BodyConfig],
     params: Sequence[BodyParams],
     states: Sequence[BodyState],
-    contacts: Sequence[Contact],
+    contact: Contact,
     slots: Slots,
 ) -> tuple[BodyState, ...]:
     """Reflect outgoing populations at the skin of all bodies, in place, and move the bodies.
@@ -115,94 +134,115 @@ def reflect_(
     Returns:
         The bodies one step later.
     """
-    each = zip(bodies, params, states, contacts, strict=True)
-    return tuple(_reflect_one_(*body, slots) for body in each)
+    (outlines, links), counts, dtype = contact, _count(bodies), slots.data.dtype
+    meeting = _meet(states, links, counts, slots)
+    each = list(zip(bodies, params, states, outlines, strict=True))
+    surfaces = [prescribe_surface(*body, dtype, has_water_inside=False) for body in each]
+    velocity = to_links(_join([surface.velocity.mT for surface in surfaces]), links, counts)
+    arm = to_links(_join([outline.markers.arm.to(dtype) for outline in outlines]), links, counts)
+    changes = [state.slip_impulse.new_zeros(len(state.surplus), 3) for state in states]
+    if any(surface.freedoms for surface in surfaces):
+        changes = _solve_motion(surfaces, states, meeting, velocity, arm, counts)
+        (x, y, turn), (rx, ry) = _spread(changes, counts).to(dtype), arm
+        velocity = velocity + torch.stack((x - turn * ry, y + turn * rx))
+
+    # What returns streams back to the nodes outside, from the slots of those inside.
+    returning, force = meeting.reflect(velocity)
+    slots.write_(meeting.inside, meeting.back, returning, links.sign != 0.0)
+    pushes = to_markers(-force, links, counts).split(counts, -1)
+    given = (returning - meeting.arriving).split(counts, -1)
+    moved = []
+    for m, (body, own, state, outline) in enumerate(each):
+        rates = [rate + c for rate, c in zip(surfaces[m].rates, changes[m].unbind(-1), strict=True)]
+        felt = RETURN_RATE * state.slip_impulse
+        update = report_body(state, outline, rates, force=(pushes[m][0], pushes[m][1]), slip=None)
+        # totals count the water inside, too: as if it filled the body and moved with it
+        momentum, spin_up = measure_gain(own, state, outline.deformation, update)
+        update = update._replace(
+            force=update.force + momentum - felt[:, :2], torque=update.torque + spin_up - felt[:, 2]
+        )
+        after = move_body(body, own, state, outline.deformation, update)
+        surplus = state.surplus + given[m].sum((1, 2)).double()
+        moved.append(after._replace(surplus=surplus, slip_impulse=state.slip_impulse - felt))
+    return tuple(moved)
 
 
-def _reflect_one_(
-    body: BodyConfig, params: BodyParams, state: BodyState, contact: Contact, slots: Slots
-) -> BodyState:
-    outline, links = contact
-    dtype = slots.data.dtype
-    cx, cy, is_cut = (part.to(dtype) for part in (links.cx, links.cy, links.is_cut))
-
-    # What arrives at the skin, and what returns from one at rest; zero where no link is cut.
-    arriving = slots.read(links.x, links.y, links.q)
-    behind = slots.read(links.x - links.cx, links.y - links.cy, links.q)
-    leaving = slots.read(links.x, links.y, links.back)
-    twice = 2.0 * links.fraction.to(dtype)
+def _meet(
+    states: Sequence[BodyState], links: Links, counts: Sequence[int], slots: Slots
+) -> Meeting:
+    """Read the populations at the links; the surplus of each body leaves evenly along its skin."""
+    sign, twice = links.sign, 2.0 * links.fraction
+    cx, cy, _, _, w = (part.to(sign) for part in slots.families)
+    direction, is_cut = torch.stack((sign * cx, sign * cy)), sign.abs()
+    node, step = slots.find(links.x, links.y), slots.find(*direction)
+    along, against = slots.offsets.along, slots.offsets.against
+    there, back = torch.where(sign > 0.0, along, against), torch.where(sign > 0.0, against, along)
+    arriving, leaving = slots.read(node, there), slots.read(node, back)
+    behind = slots.read(node - step, there)
     inverse = 1.0 / twice.clamp_min(1.0)
     far = (arriving + (twice - 1.0) * leaving) * inverse
     near = twice * arriving + (1.0 - twice) * behind
-    arriving, still = is_cut * arriving, is_cut * torch.where(twice < 1.0, near, far)
-    six_w = is_cut * ((links.q < 5).to(dtype) * (6.0 * (W[1] - W[5])) + 6.0 * W[5])
-    q = torch.arange(Q, device=six_w.device)[:, None, None]
-    rho = 1.0 + slots.read(links.x[:, None], links.y[:, None], q).sum(1)
-    gain = six_w * rho * inverse  # what returns less per velocity of the skin along the link
-    # the surplus leaves evenly along the skin
-    leak = RETURN_RATE * state.surplus.to(dtype) / six_w.sum((1, 2)).clamp_min(1e-6)
-    still = still - leak[:, None, None] * six_w
-    felt = RETURN_RATE * state.slip_impulse
+    rho = 1.0 + compute_moments(slots.read_all(node, slots.offsets.leaving))[0]
+    six_w = 6.0 * w * is_cut
+    leaks = [
+        (RETURN_RATE * state.surplus.to(own) / own.sum((1, 2)).clamp_min(1e-6))[:, None]
+        for state, own in zip(states, six_w.split(counts, -1), strict=True)
+    ]
+    (leak,) = _spread(leaks, counts)
+    return Meeting(
+        direction=direction,
+        arriving=is_cut * arriving,
+        still=is_cut * torch.where(twice < 1.0, near, far) - leak * six_w,
+        gain=six_w * rho * inverse,
+        inside=node + step,
+        back=back,
+    )
 
-    def reflect(ux: Tensor, uy: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return what comes back from a skin of velocity ``[B, 4, N]``, and the force on it."""
-        returning = still - gain * (cx * ux + cy * uy)
-        both, lost = arriving + returning, arriving - returning
-        return returning, cx * both - ux * lost, cy * both - uy * lost
 
-    # Newton's second law gives the rates that the flow determines: the force is linear in them.
-    surface = prescribe_surface(body, params, state, outline, dtype, has_water_inside=False)
-    velocity = [to_links(u, links) for u in surface.velocity.unbind(1)]
-    changes: list[Tensor] = []
-    if surface.freedoms:
-        _, *force = reflect(*velocity)
-        fx, fy = (to_markers(part, links) for part in force)
-        along, drive = [], []
-        for free in surface.freedoms:
-            units = [
-                (c, f, u)
-                for c, f, u in zip((cx, cy), (fx, fy), free.unit, strict=True)
-                if u is not None
-            ]
-            along.append(sum(c * to_links(u, links) for c, _, u in units))
-            push = free.push + felt[:, free.axis]
-            drive.append(sum((f * u).sum(-1).double() for _, f, u in units) + push)
-        matrix = [
-            [(gain * a * b).sum((1, 2)).double() + (free.inertia if a is b else 0.0) for b in along]
-            for a, free in zip(along, surface.freedoms, strict=True)
+def _solve_motion(
+    surfaces: Sequence[Surface],
+    states: Sequence[BodyState],
+    meeting: Meeting,
+    velocity: Tensor,
+    arm: Tensor,
+    counts: Sequence[int],
+) -> list[Tensor]:
+    """Return the change ``[B, 3]`` of each body's rates; zero of those that are prescribed.
+
+    Newton's second law gives those that the flow determines: the force is linear in them.
+    """
+    (rx, ry), (cx, cy), (fx, fy) = arm, meeting.direction, meeting.reflect(velocity)[1]
+    # velocity along the link that a unit of each rate gives the skin, and the force along it
+    along = [part.split(counts, -1) for part in (cx, cy, rx * cy - ry * cx)]
+    loads = [part.split(counts, -1) for part in (fx, fy, rx * fy - ry * fx)]
+    gains, changes = meeting.gain.split(counts, -1), []
+    for m, (surface, state) in enumerate(zip(surfaces, states, strict=True)):
+        felt, axes = RETURN_RATE * state.slip_impulse, [free.axis for free in surface.freedoms]
+        drive = [
+            loads[free.axis][m].sum((1, 2)).double() + free.push + felt[:, free.axis]
+            for free in surface.freedoms
         ]
-        changes = eliminate(matrix, drive)
-    for free, change in zip(surface.freedoms, changes, strict=True):
-        for axis, unit in enumerate(free.unit):
-            if unit is not None:
-                weight = change.to(dtype)[:, None, None]
-                velocity[axis] = velocity[axis] + weight * to_links(unit, links)
-
-    # What returns streams back to the nodes outside, from the slots of those inside.
-    returning, *force = reflect(*velocity)
-    slots.write_(links.x + links.cx, links.y + links.cy, links.back, returning, links.is_cut)
-    fx, fy = (-to_markers(part, links) for part in force)
-    rates = surface.change_rates(changes)
-    update = report_body(state, outline, rates, force=(fx, fy), slip=None)
-    # totals count the water inside, too: as if it filled the body and moved with it
-    momentum, spin_up = measure_gain(params, state, outline.deformation, update)
-    update = update._replace(
-        force=update.force + momentum - felt[:, :2], torque=update.torque + spin_up - felt[:, 2]
-    )
-    moved = move_body(body, params, state, outline.deformation, update)
-    return moved._replace(
-        surplus=state.surplus + (returning - arriving).sum((1, 2)).double(),
-        slip_impulse=state.slip_impulse - felt,
-    )
+        matrix = [
+            [
+                (gains[m] * along[min(a, b)][m] * along[max(a, b)][m]).sum((1, 2)).double()
+                for b in axes
+            ]
+            for a in axes
+        ]
+        for k, free in enumerate(surface.freedoms):
+            matrix[k][k] = matrix[k][k] + free.inertia
+        solved = dict(zip(axes, eliminate(matrix, drive), strict=True))
+        still = torch.zeros_like(state.surplus)
+        changes.append(torch.stack([solved.get(axis, still) for axis in range(3)], -1))
+    return changes
 
 
 def pass_nodes_(
     bodies: Sequence[BodyConfig],
     states: Sequence[BodyState],
-    before: Sequence[Contact],
-    after: Sequence[Contact],
+    before: Contact,
+    after: Contact,
     slots: Slots,
-    size: tuple[int, int],
 ) -> tuple[BodyState, ...]:
     """Fill the nodes that the bodies have left in the step just made, in place.
 
@@ -212,51 +252,66 @@ def pass_nodes_(
         before: where the skins were.
         after: where they are.
         slots: outgoing populations of the step; those that arrive at the uncovered nodes are set.
-        size: width and height of the grid in nodes.
 
     Returns:
         The bodies: mass of the nodes that changed sides is in their surplus, momentum with which
         covered ones slipped past in their slip impulse.
     """
-    each = zip(bodies, states, before, after, strict=True)
-    return tuple(
-        state if body.is_still else _pass_nodes_of_one_(state, former, contact, slots, size)
-        for body, state, former, contact in each
-    )
-
-
-def _pass_nodes_of_one_(
-    state: BodyState, before: Contact, after: Contact, slots: Slots, size: tuple[int, int]
-) -> BodyState:
-    markers = after.outline.markers
-    passed = find_passed(before.outline.markers.position, markers.position, *size)
-    # populations ``[B, Q, N]`` that arrive at a covered node, and at the next one outside
-    cx, cy, w = (part[:, None] for part in slots.lattice.unbind(1))
-    x, y = passed.x[:, None] - cx.long(), passed.y[:, None] - cy.long()
-    q = torch.arange(Q, device=cx.device)[:, None]
-    f = slots.read(x + passed.cx[:, None], y + passed.cy[:, None], q)
-    drho = f.sum(1, keepdim=True)
+    moving = [m for m, body in enumerate(bodies) if not body.is_still]
+    if not moving:
+        return tuple(states)
+    counts, dtype = _count([bodies[m] for m in moving]), slots.data.dtype
+    markers = [after.outlines[m].markers for m in moving]
+    former = [before.outlines[m].markers.position for m in moving]
+    places = torch.cat(former, 1), torch.cat([own.position for own in markers], 1)
+    passed = find_passed(*places, counts, slots.size, dtype)
+    # the populations that arrive at a covered node, or at the next one outside
+    node, turns = slots.find(passed.x, passed.y), passed.turns
+    outside = node + slots.find(passed.cx, passed.cy)
+    f = slots.read_all(outside, slots.offsets.arriving)
+    fluid = compute_macroscopic(f)
     # the skin's velocity in place of the next node's
-    spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1)
-    rigid = state.velocity[:, None] + state.angular_velocity[:, None, None] * spin
-    skin = rigid + markers.deformation_velocity
-    skin = skin + passed.at[..., None] * (torch.cat((skin[:, 1:], skin[:, :1]), 1) - skin)
-    cx, cy, w, rho = cx.to(f), cy.to(f), w.to(f), 1.0 + drho
-    speed = (f * cx).sum(1, keepdim=True) / rho, (f * cy).sum(1, keepdim=True) / rho
-    ux, uy = (part.to(f)[:, None] for part in skin.unbind(-1))
-    change = _expand(cx, cy, ux, uy) - _expand(cx, cy, *speed)
-    slots.write_(x, y, q, f + w * rho * change, passed.turns[:, None] < 0)
-    covered = rho[:, 0] * passed.turns.clamp(min=0)
-    px, py = (covered * (fluid - own)[:, 0] for fluid, own in zip(speed, (ux, uy), strict=True))
-    rx, ry = passed.x - state.position[:, :1], passed.y - state.position[:, 1:]
-    slip = torch.stack([part.sum(-1).double() for part in (px, py, rx * py - ry * px)], -1)
-    return state._replace(
-        surplus=state.surplus - (passed.turns * drho[:, 0]).sum(-1).double(),
-        slip_impulse=state.slip_impulse + slip,
+    skins = [
+        compute_velocity(own, states[m].velocity, states[m].angular_velocity)
+        for m, own in zip(moving, markers, strict=True)
+    ]
+    here = _join(skins).to(dtype)
+    skin = here + passed.at * (follow(here, counts) - here)
+    change = zip(
+        f, compute_equilibrium(fluid.drho, *skin), compute_equilibrium(*fluid), strict=True
     )
+    filled = torch.stack([own + (new - old) for own, new, old in change], 1)
+    slots.write_(node[:, None], slots.offsets.arriving, filled, turns[:, None] < 0.0)
+    # water that the skin has covered slipped past it
+    covered = turns.clamp_min(0.0) * fluid.rho
+    px, py = (covered * (water - own) for water, own in zip(fluid[1:], skin, strict=True))
+    each = zip(
+        moving,
+        *(t.split(counts, -1) for t in (px, py, turns * fluid.drho, passed.x, passed.y)),
+        strict=True,
+    )
+    moved = list(states)
+    for m, px, py, mass, x, y in each:
+        state = states[m]
+        rx, ry = x - state.position[:, :1], y - state.position[:, 1:]
+        slip = [part.sum(-1).double() for part in (px, py, rx * py - ry * px)]
+        moved[m] = state._replace(
+            surplus=state.surplus - mass.sum(-1).double(),
+            slip_impulse=state.slip_impulse + torch.stack(slip, -1),
+        )
+    return tuple(moved)
 
 
-def _expand(cx: Tensor, cy: Tensor, ux: Tensor, uy: Tensor) -> Tensor:
-    """Return f_eq / (w rho) - 1."""
-    along = cx * ux + cy * uy
-    return 3.0 * along + 4.5 * along * along - 1.5 * (ux * ux + uy * uy)
+def _count(bodies: Sequence[BodyConfig]) -> list[int]:
+    return [body.num_markers for body in bodies]
+
+
+def _join(vectors: Sequence[Tensor]) -> Tensor:
+    """Return vectors ``[B, N, 2]`` of each body as those of all, ``[2, B, N]``."""
+    return torch.cat([own.mT for own in vectors], -1).transpose(0, 1)
+
+
+def _spread(values: Sequence[Tensor], counts: Sequence[int]) -> Tensor:
+    """Return K values ``[B, K]`` of each body at the links of its markers, ``[K, B, 1, N]``."""
+    each = [own[..., None].expand(-1, -1, n) for own, n in zip(values, counts, strict=True)]
+    return torch.cat(each, -1).transpose(0, 1).unsqueeze(-2)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar, TypeVar
 
+from pydantic import PositiveInt
 from torch import Tensor
 
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
@@ -21,6 +22,10 @@ class Skin(Settings, ABC):
     A skin of your own is a subclass in a file of its own, with ``exchange``, which the fast step
     calls, too; ``fast.body_parts.make_skin_parts`` registers parts that are faster.
 
+    Args:
+        marker_multiple: each body has a multiple of so many markers, if it does not give their
+            number: 16 fills the vectors of a CPU, and changes results a little.
+
     Attributes:
         marker_spacing: distance of a body's markers, nodes, unless the body gives its own.
         spacing_range: smallest and largest mean distance that works.
@@ -36,6 +41,8 @@ class Skin(Settings, ABC):
     margin: ClassVar[float]
     jumps: ClassVar[bool]
     has_water_inside: ClassVar[bool]
+
+    marker_multiple: PositiveInt = 1
 
     @abstractmethod
     def exchange(
@@ -83,6 +90,9 @@ class Skin(Settings, ABC):
             spacing = self.marker_spacing if spacing is None else spacing
             inset = self.choose_inset(body) if inset is None else inset
             fitted = replace(body, marker_spacing=spacing, inset=inset, skin=own)
+            if not body.num_markers:
+                count = -(-fitted.num_markers // self.marker_multiple) * self.marker_multiple
+                fitted = replace(fitted, num_markers=count)
         low, high = self.spacing_range
         if not low <= fitted.spacing <= high:
             raise ValueError(
