@@ -4,6 +4,7 @@ All cases take turns in short bursts. Tables, goals and figures show medians and
 rounds, and ratios of the same round.
 
     python -m experiments.benchmark groups=[solver,env]      # some groups
+    python -m experiments.benchmark groups=[steps] before=b  # presets' steps, and those of folder b
     python -m experiments.benchmark docs=docs                # put the results into the page too
 """
 
@@ -15,7 +16,7 @@ from pathlib import Path
 
 import torch
 
-from experiments.benchmarks import environment, flows
+from experiments.benchmarks import environment, flows, steps
 from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import BenchmarkSettings, Results, measure
 from experiments.benchmarks.plots import write_plots
@@ -32,6 +33,8 @@ GROUPS = {
     "gpu": flows.make_gpu,
     "env": environment.make_overhead,
     "train": environment.make_training,
+    "steps": steps.make_steps,
+    "decisions": steps.make_decisions,
     "compile": flows.make_compilation,
 }
 

@@ -39,6 +39,8 @@ class BenchmarkSettings(Settings):
         rounds: bursts of every benchmark.
         burst: duration of a burst, seconds.
         groups: groups of benchmarks; by default all.
+        presets: whose steps and decisions are measured.
+        before: folder with the package of an earlier commit, whose steps are measured as well.
         folder: folder for results and figures.
         docs: folder of the documentation whose page receives the results.
     """
@@ -48,6 +50,8 @@ class BenchmarkSettings(Settings):
     rounds: Annotated[int, Field(ge=2)] = 15
     burst: PositiveFloat = 0.1
     groups: tuple[str, ...] = ()
+    presets: tuple[str, ...] = ("gait_bend", "gait_small", "small", "paper")
+    before: str | None = None
     folder: str = "runs/benchmark"
     docs: str | None = None
 

@@ -97,6 +97,21 @@ def _price(case: Benchmark, results: Results) -> str:
     return f"{seconds * case.facts['period'] / case.facts['flows']:.2f}"
 
 
+def _sum_least(names: Sequence[str], case: Benchmark) -> float:
+    return sum(min(case.measured[name]) for name in names if name in case.measured)
+
+
+def _least(name: str, case: Benchmark, results: Results) -> str | None:
+    return f"{1e6 * _sum_least([name], case):.0f}" if name in case.measured else None
+
+
+def _over_before(names: Sequence[str], case: Benchmark, results: Results) -> str | None:
+    before = results.find(case.label.replace("/now", "/before"))
+    return f"{_sum_least(names, case) / _sum_least(names, before):.2f}" if before else None
+
+
+#: What a step does for the bodies: reflection or coupling, finding their skins, uncovered nodes.
+BODY_PARTS = ("exchange", "skin", "uncovering")
 #: Content of each column; None is shown as a dash.
 COLUMNS: dict[str, Cell] = {
     "case": lambda case, _: case.name,
@@ -111,11 +126,24 @@ COLUMNS: dict[str, Cell] = {
     "share outside the flow, %": _number("outside_flow", 2, 100.0),
     "share of learning, %": _number("learning", 1, 100.0),
     "seconds": _number("seconds", 1),
+    "step, µs": partial(_least, "seconds"),
+    **{name: partial(_least, name) for name in ("collision", *BODY_PARTS, "edges")},
+    "step / collision": lambda case, _: (
+        f"{_sum_least(['seconds'], case) / _sum_least(['collision'], case):.2f}"
+    ),
+    "step / before": partial(_over_before, ["seconds"]),
+    "bodies / before": partial(_over_before, BODY_PARTS),
+    "s / T": lambda case, _: f"{min(case.measured['seconds']) * case.facts['period']:.3f}",
+    "decisions / s": lambda case, _: (
+        f"{case.facts['flows'] / find_quartiles(case.measured['seconds']).median:.0f}"
+    ),
 }
 SPEED = ("case", "what", "MLUPS", "/ copy")
 GPU_SPEED = ("case", "what", "MLUPS", "/ copy on the GPU")
 MEMORY, PRICE = "memory, B / node", ("µs / step", "s / T and flow")
 OUTSIDE = ("case", "ms", "share outside the flow, %")
+STEPS = ("case", "what", "step, µs", "collision", *BODY_PARTS, "edges", "step / collision")
+RATIOS = ("step / before", "bodies / before", "s / T")
 #: Group, heading, line above the table, columns.
 TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("probe", "Memory bandwidth", "", SPEED),
@@ -124,12 +152,19 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("gpu", "GPU", "", GPU_SPEED),
     ("env", "Environment", "Bursts of one action, which lasts a tail beat T.", OUTSIDE),
     ("train", "Training", "", ("case", "ms", "share of learning, %")),
+    (
+        "steps",
+        "Steps of the presets",
+        "Least times of one flow on one core. T is a tail beat.",
+        (*STEPS, *RATIOS),
+    ),
+    ("decisions", "Decisions", "", ("case", "decisions / s", "share outside the flow, %")),
     ("compile", "Compilation", "Time until the first step with a fish.", ("case", "seconds")),
 )
 
 
 #: Groups whose tables are on the page; the goals summarise the others.
-PAGE = ("solver", "coupled", "gpu")
+PAGE = ("steps", "decisions", "solver", "coupled", "gpu")
 
 
 def render_results(results: Results, groups: Container[str] | None = None) -> str:

@@ -1,0 +1,81 @@
+"""Benchmarks of what people train on: the step of each preset by its parts, and decisions.
+
+One flow on one core. With ``before``, the folder of another commit, its step takes turns with ours:
+
+    mkdir before && git archive e28df4c1 fishrl | tar x -C before
+    python -m experiments.benchmark 'groups=[steps]' before=before
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from experiments.benchmarks.environment import FLOWS, make_overhead
+from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings
+from fishrl.programs.train_settings import TRAINING
+
+ROOT = Path(__file__).parents[2]
+#: Steps of a burst.
+NUM_STEPS = 200
+
+
+class Clock:
+    """A process that times the parts of a preset's step, with the package of a folder."""
+
+    def __init__(self, preset: str, folder: Path) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, Path(__file__).with_name("step_clock.py"), preset],
+            env=os.environ | {"PYTHONPATH": str(folder.resolve()), "OMP_NUM_THREADS": "1"},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self.facts = self._read()
+
+    def time(self, num_steps: int) -> dict[str, float]:
+        """Return the least seconds of each part, and of a step, in a burst."""
+        assert self._process.stdin is not None
+        print(num_steps, file=self._process.stdin, flush=True)
+        return self._read()
+
+    def _read(self) -> dict[str, Any]:
+        assert self._process.stdout is not None
+        read: dict[str, Any] = json.loads(self._process.stdout.readline())
+        return read
+
+
+def make_steps(settings: BenchmarkSettings) -> list[Benchmark]:
+    """Return benchmarks of the presets' steps, here and in the folder of an earlier commit."""
+    folders = {"now": ROOT}
+    if settings.before is not None:
+        folders = {"before": Path(settings.before), **folders}
+    cases = []
+    for preset in settings.presets:
+        for when, folder in folders.items():
+            clock = Clock(preset, folder)
+            case = Benchmark(
+                label=f"{preset}/{when}",
+                name=f"{preset}, {clock.facts['width']} × {clock.facts['height']}",
+                scope=when,
+                advance=clock.time,
+                num_steps=NUM_STEPS,
+                facts=clock.facts,
+            )
+            cases.append(case)
+    return cases
+
+
+def make_decisions(settings: BenchmarkSettings) -> list[Benchmark]:
+    """Return benchmarks of a decision in all flows of each preset, in worker processes."""
+    cases = []
+    for preset in settings.presets:
+        words = ["task=karman_gait"] if preset.startswith("gait") else []
+        task: Any = TRAINING.read([f"preset={preset}", *words]).task
+        _, case = make_overhead(settings, task=task, flows=FLOWS)
+        case.label, case.name = f"decision/{preset}", f"{preset}, {FLOWS.num_envs} flows"
+        case.facts["flows"] = FLOWS.num_envs
+        cases.append(case)
+    return cases
