@@ -34,6 +34,7 @@ from fishrl.physics.diagnostics import (
 )
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, Sponge
+from fishrl.physics.levels.patch import Patch
 from fishrl.physics.rollout import estimate_memory, simulate
 from fishrl.physics.skins import BounceBack, ImmersedBoundary, Skin
 from fishrl.physics.units import Scales, compute_tau
@@ -67,6 +68,7 @@ __all__ = [
     "NonEquilibrium",
     "OpenEdge",
     "Oscillating",
+    "Patch",
     "Periodic",
     "Profile",
     "Scales",

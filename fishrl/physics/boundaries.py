@@ -236,6 +236,20 @@ class Periodic(Settings, Boundary):
         return {}
 
 
+class Filled(Settings, Boundary):
+    """The edge of a patch of a finer level, which its parent fills; see ``levels.transfer``."""
+
+    is_local = True
+    velocity: ClassVar[None] = None  # type: ignore[misc]
+    profile: ClassVar[Profile] = Profile.UNIFORM  # type: ignore[misc]
+
+    def compute_edge(
+        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor], speed: Tensor
+    ) -> dict[int, Tensor]:
+        """Return nothing to set."""
+        return {}
+
+
 class Boundaries(Settings):
     """The four edges; the default is a closed tank."""
 
@@ -263,7 +277,7 @@ class Boundaries(Settings):
         """Return the edges in the order in which they are set; each list is independent."""
         across = [(Side.LEFT, self.left), (Side.RIGHT, self.right)]
         along = [(Side.BOTTOM, self.bottom), (Side.TOP, self.top)]
-        given = [edge for edge in across + along if not isinstance(edge[1], Periodic)]
+        given = [edge for edge in across + along if not isinstance(edge[1], Periodic | Filled)]
         groups = [
             [edge for edge in given if edge[1].is_local],
             [edge for edge in across if not edge[1].is_local],

@@ -97,16 +97,25 @@ def compute_equilibrium(drho: Tensor, ux: Tensor, uy: Tensor) -> list[Tensor]:
     return f_eq
 
 
-def collide_mrt(f: Sequence[Tensor], omega: Tensor | float, rates: Rates) -> list[Tensor]:
-    """Relax the moments towards equilibrium, without force: f - M^-1 S (m - m_eq).
+class Moments(NamedTuple):
+    """Density, momentum, and by how much the other moments differ from equilibrium, m - m_eq."""
 
-    Args:
-        f: nine incoming populations (shifted).
-        omega: 1 / tau, the rate of the stresses pxx and pxy; broadcasts (one per flow).
-        rates: the other rates.
+    drho: Tensor  #: rho - 1, any shape common to all
+    jx: Tensor
+    jy: Tensor
+    e: Tensor
+    eps: Tensor
+    qx: Tensor
+    qy: Tensor
+    pxx: Tensor
+    pxy: Tensor
 
-    Source: Lallemand & Luo 2000, eq. 13; the paper's eq. 1 without force. The products of M and
-    M^-1 are unrolled over sums and differences of opposite populations, so no matrix appears.
+
+def measure_moments(f: Sequence[Tensor]) -> Moments:
+    """Return the moments of nine populations.
+
+    The products of M are unrolled over sums and differences of opposite populations, so no matrix
+    appears.
     """
     f0, f1, f2, f3, f4, f5, f6, f7, f8 = f
     a13, a24, a57, a68 = f1 + f3, f2 + f4, f5 + f7, f6 + f8
@@ -117,14 +126,53 @@ def collide_mrt(f: Sequence[Tensor], omega: Tensor | float, rates: Rates) -> lis
     inverse = 1.0 / (drho + 1.0)
     jxx, jyy, jxy = jx * jx * inverse, jy * jy * inverse, jx * jy * inverse
     u2 = 3.0 * (jxx + jyy)
-    # relaxation of each moment: s (m - m_eq)
-    de = rates.energy * (-4.0 * f0 - axis + 2.0 * diagonal + 2.0 * drho - u2)
-    deps = rates.energy * (4.0 * f0 - 2.0 * axis + diagonal - drho + u2)
-    dqx = rates.flux * (-2.0 * d13 + (d57 - d68) + jx)
-    dqy = rates.flux * (-2.0 * d24 + (d57 + d68) + jy)
-    dpxx = omega * (a13 - a24 - (jxx - jyy))
-    dpxy = omega * (a57 - a68 - jxy)
-    return [g - r for g, r in zip(f, _from_moments(de, deps, dqx, dqy, dpxx, dpxy), strict=True)]
+    return Moments(
+        drho=drho,
+        jx=jx,
+        jy=jy,
+        e=-4.0 * f0 - axis + 2.0 * diagonal + 2.0 * drho - u2,
+        eps=4.0 * f0 - 2.0 * axis + diagonal - drho + u2,
+        qx=-2.0 * d13 + (d57 - d68) + jx,
+        qy=-2.0 * d24 + (d57 + d68) + jy,
+        pxx=a13 - a24 - (jxx - jyy),
+        pxy=a57 - a68 - jxy,
+    )
+
+
+def rebuild(moments: Moments, stress: Tensor, others: float) -> list[Tensor]:
+    """Return populations: f_eq + M^-1 (m - m_eq), with m - m_eq times given factors.
+
+    ``stress`` is that of pxx and pxy and broadcasts, ``others`` that of e, eps, qx and qy.
+    """
+    drho, jx, jy, e, eps, qx, qy, pxx, pxy = moments
+    rho = drho + 1.0
+    f_eq = compute_equilibrium(drho, jx / rho, jy / rho)
+    change = _from_moments(
+        others * e, others * eps, others * qx, others * qy, stress * pxx, stress * pxy
+    )
+    return [a + b for a, b in zip(f_eq, change, strict=True)]
+
+
+def collide_mrt(f: Sequence[Tensor], omega: Tensor | float, rates: Rates) -> list[Tensor]:
+    """Relax the moments towards equilibrium, without force: f - M^-1 S (m - m_eq).
+
+    Args:
+        f: nine incoming populations (shifted).
+        omega: 1 / tau, the rate of the stresses pxx and pxy; broadcasts (one per flow).
+        rates: the other rates.
+
+    Source: Lallemand & Luo 2000, eq. 13; the paper's eq. 1 without force.
+    """
+    _, _, _, e, eps, qx, qy, pxx, pxy = measure_moments(f)
+    change = _from_moments(
+        rates.energy * e,
+        rates.energy * eps,
+        rates.flux * qx,
+        rates.flux * qy,
+        omega * pxx,
+        omega * pxy,
+    )
+    return [g - r for g, r in zip(f, change, strict=True)]
 
 
 def _from_moments(

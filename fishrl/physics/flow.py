@@ -14,9 +14,10 @@ from fishrl.memory import check_memory
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.boundaries import Boundaries, Side
+from fishrl.physics.boundaries import Boundaries, Periodic, Side
 from fishrl.physics.collision import Rates, compute_equilibrium
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
+from fishrl.physics.levels.patch import CLEARANCE, RING, Patch, default_patches, measure_patch
 from fishrl.physics.skins import BounceBack, Skin
 from fishrl.physics.units import check_tau
 from fishrl.settings import Settings
@@ -58,6 +59,11 @@ class FlowConfig(Settings):
         sponges: strips of raised viscosity.
         skin: how bodies and fluid act on each other: ``BounceBack()``, a sharp skin, or
             ``ImmersedBoundary()``, the paper's. Bodies take their marker spacing and inset from it.
+        levels: grids of different spacing. With 1 there is one grid; with more, only patches have
+            the spacing that everything else here is in, and each coarser level has twice that of
+            the next finer one. Then the width less one, and likewise the height, is a multiple of
+            2^(levels - 1), or with periodic edges the width itself.
+        patches: where the finer levels are; by default around each body.
     """
 
     former: ClassVar[Mapping[str, str]] = {
@@ -75,6 +81,8 @@ class FlowConfig(Settings):
     boundaries: Boundaries = Boundaries()
     sponges: tuple[Sponge, ...] = ()
     skin: Skin = BounceBack()
+    levels: Annotated[int, Field(ge=1, le=6)] = 1
+    patches: tuple[Patch, ...] = ()
 
     def __post_init__(self) -> None:
         check_tau(self.tau)
@@ -99,6 +107,84 @@ class FlowConfig(Settings):
                     f"{type(body).__name__} of {body.size:g} nodes does not fit into {self.width} "
                     f"x {self.height} nodes: enlarge the domain or make the body smaller"
                 )
+        if self.levels > 1:
+            self._check_levels()
+
+    def _check_levels(self) -> None:
+        """Raise ValueError for sizes and patches that levels do not allow."""
+        given = sorted(index for patch in self.refined for index in patch.bodies)
+        if not self.refined or given != list(range(len(self.bodies))):
+            raise ValueError(
+                f"patches hold the bodies {given} of {len(self.bodies)}: give each body in one "
+                "Patch(bodies=...), and at least one patch"
+            )
+        for name, size in (("width", self.width), ("height", self.height)):
+            rest = self.find_remainder(name)
+            if rest:
+                raise ValueError(
+                    f"{name} = {size} with levels = {self.levels}: take {size - rest} or "
+                    f"{size - rest + self.coarsest_spacing}, to end on a node of the coarsest level"
+                )
+        for patch in self.refined:
+            width, height = measure_patch(patch, self.bodies, self.levels)[0]
+            (left, bottom), (right, top) = self.list_bounds()
+            if width // 2 > right - left or height // 2 > top - bottom:
+                unit = self.coarsest_spacing
+                raise ValueError(
+                    f"{patch} covers {width // 2 * unit} x {height // 2 * unit} nodes on its "
+                    f"coarsest level, there are {(right - left) * unit} x {(top - bottom) * unit} "
+                    "away from edges and sponges: take fewer levels or enlarge the domain"
+                )
+
+    @property
+    def refined(self) -> tuple[Patch, ...]:
+        """The patches of the finer levels; none with one level."""
+        return (self.patches or default_patches(self.bodies)) if self.levels > 1 else ()
+
+    @property
+    def coarsest_spacing(self) -> int:
+        """Distance of the nodes of the coarsest level, 2^(levels - 1)."""
+        return int(2 ** (self.levels - 1))
+
+    def find_remainder(self, name: str) -> int:
+        """Return by how many nodes ``width`` or ``height`` is larger than levels allow."""
+        edge = self.boundaries.left if name == "width" else self.boundaries.bottom
+        size: int = getattr(self, name)
+        return (size - (not isinstance(edge, Periodic))) % self.coarsest_spacing
+
+    @property
+    def coarsest_size(self) -> tuple[int, int]:
+        """Width and height of the coarsest level in its own nodes."""
+        unit = self.coarsest_spacing
+        return -(-self.width // unit), -(-self.height // unit)
+
+    def list_bounds(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Return the first and last node (x, y) of the coarsest level that a patch may cover."""
+        low, high = [CLEARANCE] * 2, [size - 1 - CLEARANCE for size in self.coarsest_size]
+        for sponge in self.sponges:
+            nodes = -(-sponge.length // self.coarsest_spacing)
+            axis = 0 if sponge.side.value[0] else 1
+            if sponge.side.value[axis] > 0:
+                low[axis] = max(low[axis], nodes + CLEARANCE)
+            else:
+                last = self.coarsest_size[axis] - 1
+                high[axis] = min(high[axis], last - nodes - CLEARANCE)
+        return (low[0], low[1]), (high[0], high[1])
+
+    @property
+    def body_bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Least and largest (x, y) of markers that a body may have, nodes."""
+        reach = self.skin.margin
+        if self.levels == 1:
+            return (reach, reach), (self.width - 1 - reach, self.height - 1 - reach)
+        unit = self.coarsest_spacing
+        # each patch keeps from its parent's edges; the skin reads within the finest one's ring
+        inner = sum(CLEARANCE * 2**level for level in range(1, self.levels - 1)) + RING + reach
+        low, high = self.list_bounds()
+        return (
+            (unit * low[0] + inner, unit * low[1] + inner),
+            (unit * high[0] - inner, unit * high[1] - inner),
+        )
 
     @property
     def nu(self) -> float:
@@ -108,7 +194,10 @@ class FlowConfig(Settings):
     @property
     def num_bytes(self) -> int:
         """Size of the populations of one flow in bytes, in single precision."""
-        return 4 * Q * self.width * self.height
+        width, height = self.coarsest_size
+        sizes = [measure_patch(patch, self.bodies, self.levels) for patch in self.refined]
+        inside = sum(w * h for each in sizes for w, h in each)
+        return 4 * Q * (width * height + inside)
 
     @property
     def fish(self) -> Fish | None:
@@ -143,8 +232,11 @@ class FlowConfig(Settings):
     def get_structure(self) -> object:
         """Return what all flows of one batch must share."""
         bodies = tuple((body.num_markers, body.get_structure()) for body in self.bodies)
-        alike = replace(self, tau=1.0, stream_speed=0.0, ramp_steps=0, bodies=())
-        return alike, bodies
+        alike = replace(
+            self, tau=1.0, stream_speed=0.0, ramp_steps=0, bodies=(), levels=1, patches=()
+        )
+        sizes = [measure_patch(patch, self.bodies, self.levels) for patch in self.refined]
+        return alike, bodies, self.levels, self.patches, sizes
 
     def weigh_sponges(self) -> Tensor:
         """Return the weight of each sponge at each node, ``[S, Y, X]`` in [0, 1]."""
@@ -182,15 +274,25 @@ class FlowParams(NamedTuple):
 class FlowState(NamedTuple):
     """State of a batch of flows."""
 
-    f: Tensor  #: ``[B, Q, Y, X]`` incoming populations, shifted by the weights
+    #: ``[B, Q, Y, X]`` incoming populations, shifted by the weights; of the coarsest level
+    f: Tensor
     bodies: tuple[BodyState, ...] = ()  #: state of each body
     #: ``[B]`` steps since the start; None means that the stream no longer changes
     clock: Tensor | None = None
+    patches: tuple["PatchState", ...] = ()  #: finer grids inside
+
+
+class PatchState(NamedTuple):
+    """A finer grid and its place."""
+
+    flow: FlowState  #: its populations, and the next finer grid
+    origin: Tensor  #: ``[B, 2]`` int64, (x, y) of its first node in its parent's nodes
 
 
 def make_rest(config: FlowConfig, num_envs: int, dtype: torch.dtype = torch.float64) -> Tensor:
-    """Return the populations ``[B, Q, Y, X]`` of a fluid at rest."""
-    return torch.zeros(num_envs, Q, config.height, config.width, dtype=dtype)
+    """Return the populations ``[B, Q, Y, X]`` of a fluid at rest, of the coarsest level."""
+    width, height = config.coarsest_size
+    return torch.zeros(num_envs, Q, height, width, dtype=dtype)
 
 
 def make_uniform(drho: Tensor, ux: Tensor, uy: Tensor) -> Tensor:

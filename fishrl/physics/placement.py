@@ -77,19 +77,18 @@ def spread_starts(
 
 def describe_inside(config: FlowConfig) -> str:
     """Return where ``lies_inside`` wants the markers of a body, as a remedy."""
-    low, right, top = config.skin.margin, config.width - 1, config.height - 1
+    (left, bottom), (right, top) = config.body_bounds
     return (
-        f"keep its markers within x = {low:g} to {right - low:g} and y = {low:g} to {top - low:g}, "
+        f"keep its markers within x = {left:g} to {right:g} and y = {bottom:g} to {top:g}, "
         "as bodies cross no edge, periodic ones included"
     )
 
 
 def lies_inside(outline: Tensor, config: FlowConfig) -> Tensor:
     """Return ``[B]`` bool: whether the markers ``[B, N, 2]`` of a body reach the grid alone."""
-    low = config.skin.margin
+    (left, bottom), (right, top) = config.body_bounds
     x, y = outline.unbind(-1)
-    is_inside = (x > low) & (x < config.width - 1 - low) & (y > low) & (y < config.height - 1 - low)
-    return is_inside.all(-1)
+    return ((x > left) & (x < right) & (y > bottom) & (y < top)).all(-1)
 
 
 def do_overlap(one: Tensor, other: Tensor) -> Tensor:

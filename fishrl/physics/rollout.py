@@ -54,7 +54,8 @@ def simulate(
         config: configuration of all flows.
         params: as in ``step``.
         num_steps: N, a multiple of ``interval``.
-        interval: steps between calls of ``control`` and ``record``.
+        interval: steps between calls of ``control`` and ``record``; with levels, a multiple of
+            2^(levels - 1).
         control: called with the number of the interval and the state at its beginning; returns the
             state to continue with, such as one whose bodies have another ``frequency`` or ``bend``.
             It must not depend on anything that changes between calls with the same number.
@@ -75,10 +76,12 @@ def simulate(
         ValueError: for numbers of steps that do not fit together, populations of another type,
             more memory than ``max_bytes``, or ``compile`` within a transform of ``torch.func``.
     """
-    if interval < 1 or num_steps < interval or num_steps % interval:
+    unit = config.coarsest_spacing
+    interval = unit if interval == 1 else interval
+    if interval < 1 or num_steps < interval or num_steps % interval or interval % unit:
         raise ValueError(
             f"num_steps = {num_steps}, interval = {interval}: num_steps must be a positive multiple"
-            " of interval"
+            f" of interval, and that of {unit}, the steps of the coarsest level"
         )
     if state.f.dtype not in (torch.float32, torch.float64):
         raise ValueError(f"f is {state.f.dtype}: give float32 or float64, such as state.f.float()")
@@ -99,14 +102,14 @@ def simulate(
         with torch.no_grad():  # outside of checkpoints, which count all that a call saves
             _compile_step(state, config, params)
     num_intervals = num_steps // interval
-    per_segment = max(1, round((segment or sqrt(num_steps)) / interval))
+    per_segment = max(1, round((segment or sqrt(num_steps * unit)) / interval))
 
     def advance(state: FlowState, first: int, last: int) -> tuple[FlowState, list[Tree]]:
         noted = []
         for number in range(first, last):
             if control is not None:
                 state = control(number, state)
-            for _ in range(interval):
+            for _ in range(interval // unit):
                 state = advance_once(state, config, params)
             if record is not None:
                 noted.append(record(state))
@@ -178,5 +181,7 @@ def estimate_memory(
     per_step = sum(saved.values())
     tensors = [t for t in pytree.tree_leaves(state) if isinstance(t, Tensor)]
     per_state = sum(t.untyped_storage().nbytes() for t in tensors)
+    unit = config.coarsest_spacing
+    num_steps //= unit
     segment = max(1, min(num_steps, round(sqrt(num_steps * per_state / per_step))))
-    return segment * per_step + ceil(num_steps / segment) * per_state, segment
+    return segment * per_step + ceil(num_steps / segment) * per_state, segment * unit

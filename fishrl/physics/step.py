@@ -64,6 +64,15 @@ from fishrl.physics.flow import (
     compute_stream_speed,
     make_params,
 )
+from fishrl.physics.levels.grids import (
+    Level,
+    fill_patches,
+    hand_down,
+    hand_up,
+    plan_levels,
+    restrict_patches,
+    shift,
+)
 from fishrl.physics.streaming import stream
 
 
@@ -81,13 +90,14 @@ def step(
         params: tau, stream and bodies of each flow, where they differ from ``config`` or from each
             other; None makes them from ``config``, which with bodies is worth doing once, by
             ``make_params([config] * B)``.
-        external_force: ``[B, 2, Y, X]`` body-force density, in addition to the bodies'.
+        external_force: ``[B, 2, Y, X]`` body-force density, in addition to the bodies'; with one
+            level alone.
 
     Returns:
-        The state one step later; the argument is unchanged.
+        The state one step later, with levels 2^(levels - 1) steps later; the argument is unchanged.
 
     Raises:
-        ValueError: if the state has more or fewer bodies than ``config``.
+        ValueError: if the state has more or fewer bodies or patches than ``config``.
     """
     if len(state.bodies) != len(config.bodies):
         raise ValueError(
@@ -96,6 +106,39 @@ def step(
         )
     if params is None:
         params = make_params([config] * len(state.f), state.f.device)
+    root = plan_levels(config)
+    if not root.patches:
+        return _step_grid(state, config, params, external_force)
+    if external_force is not None or len(state.patches) != len(root.patches):
+        raise ValueError(
+            f"levels = {config.levels} with external_force = {external_force} and "
+            f"{len(state.patches)} patches in the state: give no force, and the state of "
+            "levels.grids.make_patches"
+        )
+    state = hand_down(shift(state, root, params), root)
+    return hand_up(_step_level(state, root, params), root)
+
+
+def _step_level(state: FlowState, level: Level, params: FlowParams) -> FlowState:
+    """Advance a grid by one of its steps, and those inside it by two of theirs."""
+    state = fill_patches(state, level, params)
+    patches = state.patches
+    state = _step_grid(state, level.config, level.convert(params))
+    for _ in range(2):
+        patches = tuple(
+            patch._replace(flow=_step_level(patch.flow, finer, params))
+            for patch, finer in zip(patches, level.patches, strict=True)
+        )
+    return restrict_patches(state._replace(patches=patches), level, params)
+
+
+def _step_grid(
+    state: FlowState,
+    config: FlowConfig,
+    params: FlowParams,
+    external_force: Tensor | None = None,
+) -> FlowState:
+    """Advance one grid by one step."""
     f, bodies = state.f.unbind(1), state.bodies
     # the fluid, and its collision without force
     fluid = compute_macroscopic(f)

@@ -62,6 +62,11 @@ class InPlaceSolver:
         check_device(device)
         device = torch.device(device)
         configs = list_configs(config, num_envs, device)
+        if configs[0].levels > 1:
+            raise ValueError(
+                f"levels = {configs[0].levels}: InPlaceSolver has one level; use simulate, or give "
+                "levels = 1"
+            )
         torch.set_flush_denormal(True)  # still water decays into denormals, which are slow
         self.configs, self.config = configs, configs[0]
         self.num_envs, self.device = len(configs), device
