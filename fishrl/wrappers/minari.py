@@ -8,7 +8,6 @@ import os
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from tensordict import TensorDictBase
@@ -20,9 +19,11 @@ from fishrl.extras import show_install
 
 try:
     import minari
-    from gymnasium.spaces import Box, Dict, Discrete, Space
+    from gymnasium.spaces import Box, Dict
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_dataset import parse_dataset_id
+
+    from fishrl.wrappers.spaces import make_spaces
 except ImportError as error:
     raise ImportError(f"fishrl.wrappers.minari needs packages: {show_install('export')}") from error
 
@@ -100,26 +101,16 @@ def write_dataset(
         )
         buffers.append(buffer)
     os.environ["MINARI_DATASETS_PATH"] = str(Path(folder).expanduser().absolute())
-    seen, actions = _make_spaces(env)
+    seen, actions = make_spaces(env)
+    mask = Box(0, 1, (task.num_actions,), np.uint8)  # TorchRL cannot read MultiBinary
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # missing metadata for the public server
         return minari.create_dataset_from_buffers(
             name,
             buffers,
-            observation_space=seen,
+            observation_space=Dict({"observation": seen, **dict.fromkeys(masked, mask)}),
             action_space=actions,
             algorithm_name=algorithm,
             description=f"{len(starts)} episodes of {task}",
             requirements=["fishrl"],
         )
-
-
-def _make_spaces(env: TransformedEnv) -> tuple[Dict, Box | Discrete]:
-    """Return the spaces of observations and actions."""
-    task, size = env.base_env.task, env.observation_spec["observation_stack"].shape[-1]
-    seen: dict[str, Space[Any]] = {"observation": Box(-np.inf, np.inf, (size,), np.float32)}
-    num = task.num_actions
-    if task.action_bounds is not None:
-        return Dict(seen), Box(-1.0, 1.0, (num,), np.float32)
-    mask = Box(0, 1, (num,), np.uint8)  # TorchRL cannot read MultiBinary
-    return Dict({**seen, "action_mask": mask}), Discrete(num)

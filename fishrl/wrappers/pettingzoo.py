@@ -14,8 +14,9 @@ from fishrl.extras import show_install
 from fishrl.wrappers.pictures import Array, Pictures
 
 try:
-    from gymnasium.spaces import Box, Discrete
     from pettingzoo import ParallelEnv
+
+    from fishrl.wrappers.spaces import make_spaces
 except ImportError as error:
     raise ImportError(
         f"fishrl.wrappers.pettingzoo needs PettingZoo: {show_install('pettingzoo')}"
@@ -58,17 +59,10 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
         self._pictures = Pictures(env, render_mode=render_mode, field=field)
         self.possible_agents: list[str] = list(env.group_map[AGENTS])
         self.agents: list[str] = []
-        length = env.full_observation_spec[AGENTS, "observation_stack"].shape[-1]
-        self.observation_spaces = {
-            name: Box(-np.inf, np.inf, (length,), np.float32) for name in self.possible_agents
-        }
         self.is_continuous = task.action_bounds is not None
-        self.action_spaces = {
-            name: Box(-1.0, 1.0, (task.num_actions,), np.float32)
-            if self.is_continuous
-            else Discrete(task.num_actions)
-            for name in self.possible_agents
-        }
+        spaces = {name: make_spaces(env) for name in self.possible_agents}
+        self.observation_spaces = {name: seen for name, (seen, _) in spaces.items()}
+        self.action_spaces = {name: acts for name, (_, acts) in spaces.items()}
 
     def observation_space(self, agent: str) -> Any:
         """Return the space of a fish's observations."""

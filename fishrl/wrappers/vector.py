@@ -15,9 +15,10 @@ from fishrl.wrappers.pictures import Array, Pictures
 
 try:
     from gymnasium.error import ResetNeeded
-    from gymnasium.spaces import Box, Discrete
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
+
+    from fishrl.wrappers.spaces import make_spaces
 except ImportError as error:
     raise ImportError(
         f"fishrl.wrappers.gymnasium needs gymnasium: {show_install('gymnasium')}"
@@ -72,16 +73,8 @@ class FlowVectorEnv(VectorEnv):
         self.env, self.flows = env, cast("FlowEnv", env.base_env)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.num_envs = int(env.batch_size[0])
-        specs = env.full_observation_spec
-        shape = tuple(specs["observation_stack"].shape[1:])
-        self.single_observation_space = Box(-np.inf, np.inf, shape, np.float32)
-        num_actions = self.flows.task.num_actions
+        self.single_observation_space, self.single_action_space = make_spaces(env)
         self.is_continuous = self.flows.task.action_bounds is not None
-        self.single_action_space = (
-            Box(-1.0, 1.0, (num_actions,), np.float32)
-            if self.is_continuous
-            else Discrete(num_actions)
-        )
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.render_mode = render_mode
@@ -91,7 +84,8 @@ class FlowVectorEnv(VectorEnv):
             "render_fps": 8,
         }
         self._pictures = Pictures(env, render_mode=render_mode, field=field)
-        self._reported = [name for name in specs.keys(True, True) if name not in OBSERVED]
+        reported = env.full_observation_spec.keys(True, True)
+        self._reported = [name for name in reported if name not in OBSERVED]
         self._state: TensorDictBase | None = None
         self._is_over = np.zeros(self.num_envs, dtype=np.bool_)
 
