@@ -225,7 +225,7 @@ class Drawing:
 
     def _draw_constants(self, root: str, title: str) -> None:
         """Log static entities: axes, areas, styles of the plots, the description."""
-        rr, scene = self._rerun, self.scene
+        scene = self.scene
         self._draw_axes(f"{root}/world/axes")
         for area in scene.areas:
             (x0, y0), (x1, y1) = area.low, area.high
@@ -233,25 +233,7 @@ class Drawing:
             shape = self._make_lines([self._place(border)], area.colour, 0.5, 1.5)
             self._log(f"{root}/world/{area.key}", shape, static=True)
         for panel in scene.panels:
-            path = make_plot_path(root, panel)
-            if isinstance(panel, Choice):
-                chosen = rr.SeriesLines(
-                    names="chosen", widths=2, colors=[_CHOSEN], interpolation_mode="StepBefore"
-                )
-                self._log(f"{path}/chosen", chosen, static=True)
-                for index, name in enumerate(panel.names):
-                    dots = rr.SeriesPoints(
-                        names=f"{index}: {name}", colors=[_LEGAL], markers="circle", marker_sizes=2
-                    )
-                    self._log(f"{path}/legal_{index}", dots, static=True)
-                continue
-            mode = "StepBefore" if panel.is_step else "Linear"
-            for number, series in enumerate(panel.series):
-                colour = series.colour or LINES[number % len(LINES)]
-                style = rr.SeriesLines(
-                    names=series.label, widths=1.6, colors=[colour], interpolation_mode=mode
-                )
-                self._log(f"{path}/{number}", style, static=True)
+            self._style_plot(make_plot_path(root, panel), panel)
         field = scene.field
         levels = (
             f"A stored value v means {field.low:g} + (v - 1) / 254 × {field.limit - field.low:g}."
@@ -266,8 +248,30 @@ class Drawing:
             f"{name}; colours from {field.low:g} to {field.limit:g} {field.unit}. {levels}\n\n"
             f"{scene.note}"
         )
-        document = rr.TextDocument(about, media_type="text/markdown")
+        document = self._rerun.TextDocument(about, media_type="text/markdown")
         self._log(f"{root}/about", document, static=True)
+
+    def _style_plot(self, path: str, panel: Panel | Choice) -> None:
+        """Log names, colours and markers of the lines of a plot."""
+        rr = self._rerun
+        if isinstance(panel, Choice):
+            chosen = rr.SeriesLines(
+                names="chosen", widths=2, colors=[_CHOSEN], interpolation_mode="StepBefore"
+            )
+            self._log(f"{path}/chosen", chosen, static=True)
+            for index, name in enumerate(panel.names):
+                dots = rr.SeriesPoints(
+                    names=f"{index}: {name}", colors=[_LEGAL], markers="circle", marker_sizes=2
+                )
+                self._log(f"{path}/legal_{index}", dots, static=True)
+            return
+        mode = "StepBefore" if panel.is_step else "Linear"
+        for number, series in enumerate(panel.series):
+            colour = series.colour or LINES[number % len(LINES)]
+            style = rr.SeriesLines(
+                names=series.label, widths=1.6, colors=[colour], interpolation_mode=mode
+            )
+            self._log(f"{path}/{number}", style, static=True)
 
     def _draw_axes(self, path: str) -> None:
         """Draw the frame of the picture, and ticks in body lengths outside it."""
