@@ -20,13 +20,9 @@ class Skin(Settings, ABC):
     """How bodies and water act on each other.
 
     A skin of your own is a subclass in a file of its own, with ``exchange``, which the fast step
-    calls, too; ``fast.body_parts.make_skin_parts`` registers parts that are faster. In ``exchange``,
-    ``geometry.locate_outline`` places a body's markers, ``surface.prescribe_surface`` gives their
-    velocity, and ``rigid_motion.report_body`` and ``move_body`` take the force on them.
-
-    Args:
-        marker_multiple: each body has a multiple of so many markers, if it does not give their
-            number: 16 fills the vectors of a CPU, and changes results a little.
+    calls, too; ``fast.body_parts.make_skin_parts`` registers parts that are faster.
+    ``geometry.locate_outline`` places the markers of a body, ``surface.prescribe_surface`` gives
+    their velocity, and ``rigid_motion.report_body`` and ``move_body`` take the force on them.
 
     Attributes:
         marker_spacing: distance of a body's markers, nodes, unless the body gives its own.
