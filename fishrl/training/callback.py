@@ -17,7 +17,7 @@ class Callback:
     """Base of callbacks: each method does nothing. They must not change what they observe."""
 
     def on_begin(self, env: EnvBase) -> None:
-        """Receive the env before its first step; ``env.base_env.on_frame`` may be set here."""
+        """Receive the env before a run begins; ``env.base_env.on_frame`` may be set here."""
 
     def on_phase(self, phase: str, *, total: int | None = None, done: int = 0) -> None:
         """Receive the name of the phase that begins.

@@ -14,7 +14,6 @@ from torchrl.collectors import Collector
 from torchrl.data import Composite
 from torchrl.envs import ActionMask, EnvBase, Transform, TransformedEnv
 
-from fishrl.envs.agents import EachFish
 from fishrl.training.learner import Learner
 from fishrl.training.opening import Opened
 
@@ -80,13 +79,8 @@ class RemoteCollector(ResumableCollector):
 
 
 def make_collector(opened: Opened, learner: Learner, *, seed: int) -> Any:
-    """Make the collector of a run, in this process or in processes of a cluster.
-
-    The learner's explorer acts, for each fish if there are several.
-    """
+    """Make the collector of a run, in this process or in processes of a cluster."""
     explorer, plan = learner.explorer, opened.plan
-    if opened.task.num_fish > 1:
-        explorer = EachFish(explorer, explorer.out_keys)
     make_flows = partial(_extend, opened.make_flows, learner.transforms)
     env = make_flows(flows=plan.flows, seed=seed)
     actor_device = plan.learner_device and next(learner.actor.parameters()).device

@@ -23,7 +23,7 @@ class Networks(NamedTuple):
 
     #: policy that is evaluated and saved, greedy under ``ExplorationType.DETERMINISTIC``
     actor: TensorDictModuleBase
-    #: policy that collects, with the same weights; the collector saves its state
+    #: policy that collects, for all fish, with the same weights; the collector saves its state
     explorer: TensorDictModuleBase
     #: the sum of its outputs ``loss_...`` is minimised; all are logged as ``train/<name>``
     loss: LossModule

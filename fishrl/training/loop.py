@@ -83,7 +83,6 @@ class Training:
         self.callbacks.on_phase("compilation" if self.plan.flows.compile else "set-up")
         with ignore_signals_in_children():  # a checkpoint needs the flows in these processes
             self.collector = make_collector(self.opened, self.learner, seed=TRAIN_SEED + seed)
-        self.callbacks.on_begin(self.collector.env)
 
     @partial(in_own_state, is_learning=True)
     def run(self) -> dict[str, Any]:
@@ -95,6 +94,7 @@ class Training:
             CheckpointNotWritten: if the first or the last checkpoint cannot be written.
         """
         env = self.collector.env
+        self.callbacks.on_begin(env)
         columns = list_metrics(self.learner.reports, name_counted(env), name_terms(env))
         frames, config = self.counters.frames, self.plan.to_config()
         self.plan.logger.open(self.folder.path, columns=columns, config=config, step=frames)

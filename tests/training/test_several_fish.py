@@ -58,10 +58,10 @@ def test_buffer_holds_the_transitions_of_each_fish(tmp_path: Path, algorithm: Al
     assert again["mean_return"] == summary["mean_return"]
 
 
-def test_epsilon_decays_with_env_frames_for_any_number_of_fish(tmp_path: Path) -> None:
+def test_epsilon_decays_per_env_frame_not_per_fish(tmp_path: Path) -> None:
     algorithm = DQN(epsilon_start=1.0, epsilon_end=0.1, epsilon_frames=36)
     training = Training(open_run(make_plan(tmp_path, algorithm=algorithm)))
-    chance: Any = training.learner.explorer[-1]  # type: ignore[index]
+    chance: Any = training.learner.explorer.policy[-1]  # type: ignore[index]
     before = float(chance.eps)
     training.run()
     assert before - float(chance.eps) == pytest.approx(0.9 * (24 - 6) / 36)

@@ -12,6 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.objectives import LossModule
 
 from fishrl.envs import AbstractTask
+from fishrl.envs.agents import EachFish
 from fishrl.memory import Weightless
 from fishrl.settings import Settings
 from fishrl.training.learner import Learner, Networks, OffPolicyLearner
@@ -100,6 +101,8 @@ class Algorithm(Settings, ABC):
         policy = self.make_policy(spec, generator).to(device)
         loss = self.make_loss(policy, spec, generator)
         explorer = self.make_explorer(policy, spec)
+        if spec.num_fish > 1:
+            explorer = EachFish(explorer, explorer.out_keys)
         traced, num_fish = self.is_traced, spec.num_fish
         networks = Networks(policy, explorer, loss, is_traced=traced, num_fish=num_fish)
         return self.assemble(networks, settings)
