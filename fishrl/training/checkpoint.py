@@ -69,17 +69,14 @@ def save_checkpoint(
     Raises:
         CheckpointNotWritten: if the disk is full or the folder cannot be written.
     """
-    fresh = path.with_name(f".{path.name}.new")
-    stage = path.with_name(f".{fresh.name}") / "whole"
+    stage = path.with_name(f"..{path.name}.new") / "whole"
     metadata = {
         **{name: getattr(spec, name) for name in CHECKED},
         "frames": frames,
         "config": config,
     }
     try:
-        if fresh.exists() and not path.exists():  # killed between the renames: it is the newest
-            os.replace(fresh, path)
-        _clear(path)
+        shutil.rmtree(stage.parent, ignore_errors=True)  # of a process killed while writing
         checkpoint = torchrl_checkpoint.Checkpoint()
         adapter = torchrl_checkpoint.StateDictCheckpointAdapter("torch")
         for name, component in components.items():
@@ -88,22 +85,21 @@ def save_checkpoint(
         write_sums(stage)
         for file in (stage, *stage.rglob("*")):
             _flush(file)
-        os.replace(stage, fresh)
-        _put_in_place(fresh, path, keep=keep)
+        _put_in_place(stage, path, frames=frames, keep=keep)
     except ChildProcessError:  # of a collector, while it was asked for its state
-        _clear(path)
         raise
     except (OSError, RuntimeError) as error:
         # torch's writer reports a full disk with a RuntimeError
         words = ("inline_container", "iostream error")
         if isinstance(error, RuntimeError) and not any(word in str(error) for word in words):
             raise
-        _clear(path)
         free = f"{shutil.disk_usage(path.parent).free / 1e6:.1f} MB are free"
         raise CheckpointNotWritten(
             f"checkpoint {path}: cannot be written ({getattr(error, 'strerror', None) or free}); "
             "the previous one is unchanged: free space, or change the permissions of the folder"
         ) from error
+    finally:
+        shutil.rmtree(stage.parent, ignore_errors=True)
 
 
 def write_sums(folder: Path) -> None:
@@ -213,47 +209,41 @@ def _sum(file: Path) -> str:
         return hashlib.file_digest(content, "sha256").hexdigest()
 
 
-def _put_in_place(fresh: Path, path: Path, *, keep: int) -> None:
+def _put_in_place(stage: Path, path: Path, *, frames: int, keep: int) -> None:
     """Rename a complete checkpoint to ``path``; a complete one can be found at any moment."""
-    if path.exists():
-        frames, older = _read_frames(path), path.with_name(f"..{path.name}.old")
-        if keep > 1 and frames is not None and frames != _read_frames(fresh):
-            older = path.with_name(f"{path.name}-{frames:09d}")
-            shutil.rmtree(older, ignore_errors=True)
-        os.replace(path, older)
-        for former in _list_older(path)[keep - 1 :]:
-            shutil.rmtree(former, ignore_errors=True)
-    os.replace(fresh, path)
+    is_first = not path.exists()
+    if not is_first:
+        previous = _name_older(path, _read_frames(path))
+        shutil.rmtree(previous, ignore_errors=True)
+        os.replace(path, previous)
+    os.replace(stage, path)
     _flush(path.parent)
-    _clear(path)
+    if not is_first:
+        same = _name_older(path, frames)
+        older = [place for place in _list_older(path) if place != same]
+        for unneeded in (same, *older[keep - 1 :]):
+            shutil.rmtree(unneeded, ignore_errors=True)
 
 
-def _clear(path: Path) -> None:
-    """Remove leftovers of writing: ``..<name>.*`` is never needed, nor ``new`` if there is one."""
-    unneeded = [f".{path.name}.new"] if path.exists() else []
-    for pattern in (f"..{path.name}.*", *unneeded):
-        for debris in path.parent.glob(pattern):
-            shutil.rmtree(debris, ignore_errors=True)
-
-
-def _list_complete(path: Path) -> list[Path]:
-    """List complete checkpoints of a name: itself, then those that replace it.
-
-    The others matter after a kill between two renames, or if the newest checkpoint was deleted.
-    """
-    fresh = path.with_name(f".{path.name}.new")
-    return [place for place in (path, fresh, *_list_older(path)) if place.exists()]
+def _name_older(path: Path, frames: int) -> Path:
+    return path.with_name(f"{path.name}-{frames:09d}")
 
 
 def _list_older(path: Path) -> list[Path]:
     return sorted(path.parent.glob(f"{path.name}-" + "[0-9]" * 9), reverse=True)
 
 
-def _read_frames(path: Path) -> int | None:
+def _list_complete(path: Path) -> list[Path]:
+    """List the checkpoints of a name, newest first: after a kill or a deletion an older one."""
+    return [place for place in (path, *_list_older(path)) if place.exists()]
+
+
+def _read_frames(path: Path) -> int:
+    """Return the frames of a checkpoint, 0 if it is damaged."""
     try:
         return _read_manifest(path).metadata.frames
     except (OSError, ValueError):
-        return None
+        return 0
 
 
 def _flush(path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import resource
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -101,16 +100,6 @@ def read_rows(folder: Path, name: str = "metrics.csv") -> list[dict[str, str]]:
     with (folder / name).open(newline="") as file:
         rows = list(csv.DictReader(file))
     return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in rows]
-
-
-def renew_checksums(checkpoint: Path) -> None:
-    """Write the checksums of a changed checkpoint, as an attacker would."""
-    files = [path for path in checkpoint.rglob("*") if path.is_file() and path.name != "SHA256SUMS"]
-    lines = [
-        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(checkpoint)}\n"
-        for path in files
-    ]
-    (checkpoint / "SHA256SUMS").write_text("".join(lines))
 
 
 def assert_equal_weights(training: Training, other: Training) -> None:
