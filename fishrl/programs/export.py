@@ -22,10 +22,9 @@ from fishrl import __version__
 from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.extras import show_install
 from fishrl.programs.export_policy import read_revision
-from fishrl.programs.program import ending_in, program
-from fishrl.programs.stored_task import read_task
+from fishrl.programs.program import ending_in
+from fishrl.programs.stored_task import policy_program
 from fishrl.settings import describe
-from fishrl.training import evaluate
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.policies import prepare
@@ -94,12 +93,7 @@ def simulate(
     )
 
 
-@program(
-    evaluate,
-    without=("callbacks", "episodes"),
-    groups={"task": "predation", "preset": None},
-    stored=read_task,
-)
+@policy_program(without=("callbacks", "episodes"))
 def main(
     *,
     save: Annotated[str, ending_in(*WRITERS)],

@@ -13,20 +13,13 @@ from typing import Any
 
 from pydantic import PositiveInt
 
-from fishrl.programs.program import program
-from fishrl.programs.stored_task import read_task
-from fishrl.training import evaluate
+from fishrl.programs.stored_task import policy_program
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.policies import prepare
 from fishrl.training.progress import Progress
 
 
-@program(
-    evaluate,
-    without=("callbacks",),
-    groups={"task": "predation", "preset": None},
-    stored=read_task,
-)
+@policy_program()
 def main(
     *,
     name: str,

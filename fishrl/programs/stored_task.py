@@ -1,10 +1,26 @@
-"""The task of the policy that a program runs: by default that of the policy's run."""
+"""Programs that run a policy, by default in the task of the policy's run."""
 
+from collections.abc import Callable
 from typing import Any
 
 from fishrl.programs.configuration import Node
+from fishrl.programs.program import Program, program
 from fishrl.training.checkpoint import Checkpoint
-from fishrl.training.policies import is_learned
+from fishrl.training.policies import evaluate, is_learned
+
+
+def policy_program(
+    *parts: type, without: tuple[str, ...] = ("callbacks",), positional: str | None = None
+) -> Callable[[Callable[..., None]], Program]:
+    """Make a program that takes the arguments of ``evaluate``; see ``program``."""
+    return program(
+        evaluate,
+        *parts,
+        without=without,
+        groups={"task": "predation", "preset": None},
+        stored=read_task,
+        positional=positional,
+    )
 
 
 def read_task(given: Node) -> Node:

@@ -15,9 +15,8 @@ from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from fishrl.envs.episodes import count_decisions
 from fishrl.envs.scene import Frame
-from fishrl.programs.program import ending_in, program, take
-from fishrl.programs.stored_task import read_task
-from fishrl.training import evaluate
+from fishrl.programs.program import ending_in, take
+from fishrl.programs.stored_task import policy_program
 from fishrl.training.callback import Callback
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.policies import prepare
@@ -116,14 +115,7 @@ def wait_for_interrupt() -> None:
             clock.sleep(1.0)
 
 
-@program(
-    evaluate,
-    ViewerSettings,
-    without=("callbacks",),
-    groups={"task": "predation", "preset": None},
-    stored=read_task,
-    positional="recording",
-)
+@policy_program(ViewerSettings, positional="recording")
 def main(
     *,
     recording: str | None = None,

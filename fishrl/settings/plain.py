@@ -185,32 +185,19 @@ class _Builder:
                 return self.make(value, kinds, path=path, default=default)
         elif isinstance(value, list | tuple):
             return [self._make_part(item, hint, path, None) for item in value]
-        elif isinstance(value, str):
-            for kind in kinds:
-                if issubclass(kind, Enum):
-                    return self._pick(kind, value, path)
-            if words := list_words(hint):
-                return self._make_named(value, words, path, hint)
+        elif isinstance(value, str) and (words := list_words(hint)):
+            return self._make_named(value, words, path, hint)
         return value
 
-    def _make_named(self, word: str, words: Mapping[str, type], path: str, hint: Any) -> Any:
-        """Return the object that a word stands for."""
-        if word in words:
-            return self.make({}, (words[word],), path=path)
+    def _make_named(self, word: str, words: Mapping[str, Any], path: str, hint: Any) -> Any:
+        """Return the object, or the member of an enumeration, that a word stands for."""
+        if (found := words.get(_spell(word))) is not None:
+            return self.make({}, (found,), path=path) if isinstance(found, type) else found
         others = [kind for kind in _list_kinds(hint) if kind not in words.values()]
         more = "".join(f", or give {path}.{_list_required(kind)[0]}=..." for kind in others)
-        reason = f"must be one of {', '.join(words)}{more}{suggest(word, words)}"
+        reason = f"must be one of {', '.join(words)}{more}{suggest(_spell(word), words)}"
         self.errors.append(f"{path} = {word!r}: {reason}" if path else f"{word!r}: {reason}")
         return None
-
-    def _pick(self, kind: type[Enum], word: str, path: str) -> Enum | None:
-        """Return the member of a name, in upper or lower case, with hyphens or underscores."""
-        members, name = kind.__members__, word.upper().replace("-", "_")
-        if name not in members:
-            allowed = [*map(_spell, members)]
-            hint = suggest(_spell(name), allowed)
-            self.errors.append(f"{path} = {word!r}: must be one of {', '.join(allowed)}{hint}")
-        return members.get(name)
 
     def _learn_keys(self, kind: type, prefix: str) -> None:
         """Remember the keys of a class and of the objects in its fields by default."""
@@ -241,13 +228,15 @@ def list_classes(hint: Any) -> Iterator[type]:
         yield from list_classes(part)
 
 
-def list_words(*hints: Any) -> dict[str, type]:
-    """Return the classes of settings that a word can stand for in a field of some type, by word.
+def list_words(*hints: Any) -> dict[str, Any]:
+    """Return the members of enumerations and the classes that a field of some type takes, by word.
 
-    They are those imported so far that are not abstract and whose settings all have defaults. There
-    is none where the field may hold text.
+    The classes are those of settings that are imported, are not abstract and have defaults for all
+    settings. There is none where the field may hold text.
     """
-    return {
+    enums = [kind for hint in hints for kind in list_classes(hint) if issubclass(kind, Enum)]
+    members = {_spell(name): each for kind in enums for name, each in kind.__members__.items()}
+    return members | {
         re.sub(r"(?<=[a-z\d])(?=[A-Z])", "-", kind.__name__).lower(): kind
         for kind in _list_kinds(*hints)
         if not _list_required(kind)
@@ -279,8 +268,8 @@ def _may_be_text(hint: Any) -> bool:
 
 def find_class(name: str, kinds: tuple[type, ...], *, modules: Collection[str] = ()) -> type:
     """Return the class of a dotted name or a word if it is one of some kinds; see ``build``."""
-    if "." not in name and name in (words := list_words(*kinds)):
-        return words[name]
+    if "." not in name and isinstance(known := list_words(*kinds).get(name), type):
+        return known
     module, _, last = name.rpartition(".")
     loaded = sys.modules.get("__main__" if module == find_main() else module)
     if loaded is None and any(f"{module}.".startswith(f"{own}.") for own in ("fishrl", *modules)):

@@ -11,6 +11,7 @@ import torch
 from fishrl.programs import evaluate, view
 from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import describe
+from fishrl.training import Classifier
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import write_yaml
@@ -54,6 +55,8 @@ def test_task_settings_not_given_are_those_of_the_run(tmp_path: Path) -> None:
     assert own["stream"]["speeds_bl"] == [1.0, 1.2, 1.4]
     changed = evaluate.main.read([checkpoint, *CHANGES]).task
     assert view.main.read([checkpoint, *CHANGES]).task == changed
+    for program in (evaluate, view):
+        assert isinstance(program.main.read(["policy=zoo/gait_sharp"]).recognition, Classifier)
     chosen = evaluate.main.read([checkpoint, "preset=gait_small"]).task
     assert chosen.body_length == 32  # another task replaces that of the run
     own["stream"]["has_disc"] = False
