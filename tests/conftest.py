@@ -1,11 +1,8 @@
 """Fixtures and hooks for all tests."""
 
-import os
 import signal
 import sys
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 import torch
@@ -68,22 +65,6 @@ def heeds_ctrl_c() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
-
-
-@pytest.fixture
-def read_only_folder() -> Iterator[Path]:
-    """A folder without write permission; root becomes nobody."""
-    folder = Path(tempfile.mkdtemp())
-    is_root, nobody = os.geteuid() == 0, 65534
-    if is_root:
-        os.chown(folder, nobody, nobody)
-    folder.chmod(0o500)
-    if is_root:
-        os.seteuid(nobody)
-    yield folder
-    if is_root:
-        os.seteuid(0)
-    folder.rmdir()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -155,11 +155,11 @@ class ClusterCollector:
 @contextmanager
 def noticing_losses() -> Iterator[None]:
     """Raise ChildProcessError where a collector is found to be lost."""
-    import ray
+    from ray.exceptions import NodeDiedError, ObjectLostError, RayActorError
 
     try:
         yield
-    except ray.exceptions.RayActorError as error:
+    except (NodeDiedError, ObjectLostError, RayActorError) as error:
         raise ChildProcessError("a collector of the Ray cluster is lost") from error
 
 

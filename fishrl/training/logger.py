@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from fishrl.files import write_whole
-from fishrl.settings import describe
 
 logger = logging.getLogger(__name__)
 
@@ -37,18 +36,7 @@ class CsvLogger:
     Rows that cannot be written, as when the disk is full, are kept for the next time.
     """
 
-    def __init__(self) -> None:
-        self._path: Path | None = None
-        self._columns: list[str] = []
-        self._unwritten: list[dict[str, Any]] = []
-
-    def __eq__(self, other: object) -> bool:
-        """Compare class and settings."""
-        return type(self) is type(other) and describe(self) == describe(other)
-
-    def __hash__(self) -> int:
-        """Return the hash of the class."""
-        return hash(type(self))
+    _path: Path | None = None
 
     def open(
         self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
@@ -58,7 +46,9 @@ class CsvLogger:
         ``columns`` are every metric there will be, the step first; ``config`` is the whole
         configuration.
         """
-        self._path, self._columns, self._unwritten = folder / "metrics.csv", list(columns), []
+        self._begin(folder, config=config, step=step)
+        self._path, self._columns = folder / "metrics.csv", list(columns)
+        self._unwritten: list[dict[str, Any]] = []
         rows: list[Mapping[str, Any]] = [{name: name for name in columns}]
         if step > 0 and self._path.is_file():
             rows += [row for row in read_rows(self._path) if int(row["frames"]) <= step]
@@ -74,12 +64,19 @@ class CsvLogger:
         self._write()
         self._send(measured, step=int(metrics[self._columns[0]]))
 
-    def _send(self, measured: Mapping[str, float], *, step: int) -> None:
-        """Send a row to wherever else a subclass logs."""
-
     def close(self) -> None:
         """Close the log, and try again to write the rows that could not be written."""
         self._write()
+        self._end()
+
+    def _begin(self, folder: Path, *, config: Mapping[str, Any], step: int) -> None:
+        """Begin wherever else a subclass logs; arguments as for ``open``."""
+
+    def _send(self, measured: Mapping[str, float], *, step: int) -> None:
+        """Send a row there."""
+
+    def _end(self) -> None:
+        """End there."""
 
     def _write(self) -> None:
         """Append the rows that are not written yet, all of them or none."""
@@ -116,22 +113,17 @@ class WandbLogger(CsvLogger):
     ``open`` raises ValueError where Weights & Biases refuses the run, as without an API key.
     """
 
+    _run: Any = None
+
     def __init__(self, *, project: str = "fishrl", is_offline: bool = False) -> None:
-        super().__init__()
+        self.project, self.is_offline = project, is_offline
+
+    def _begin(self, folder: Path, *, config: Mapping[str, Any], step: int) -> None:
         import wandb
 
-        self._wandb = wandb
-        self.project, self.is_offline = project, is_offline
-        self._run: Any = None
-
-    def open(
-        self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
-    ) -> None:
-        """Start the run at Weights & Biases as well; a resumed run keeps its identity."""
-        super().open(folder, columns=columns, config=config, step=step)
-        identity = folder / "wandb_id"
+        identity = folder / "wandb_id"  # which a resumed run keeps
         try:
-            self._run = self._wandb.init(
+            self._run = wandb.init(
                 project=self.project,
                 name=folder.name,
                 id=identity.read_text("utf-8") if identity.is_file() else uuid.uuid4().hex[:12],
@@ -139,9 +131,9 @@ class WandbLogger(CsvLogger):
                 config=dict(config),
                 mode="offline" if self.is_offline else None,
                 resume="allow",
-                settings=self._wandb.Settings(console="off"),  # or it would log the bar's moves
+                settings=wandb.Settings(console="off"),  # or it would log the bar's moves
             )
-        except self._wandb.errors.Error as error:
+        except wandb.errors.Error as error:
             said = str(error).strip().rstrip(".")
             raise ValueError(
                 f"Weights & Biases: {said}; or set logger.is_offline=true, or WANDB_MODE=offline"
@@ -151,8 +143,6 @@ class WandbLogger(CsvLogger):
     def _send(self, measured: Mapping[str, float], *, step: int) -> None:
         self._run.log(measured, step=step)
 
-    def close(self) -> None:
-        """End the run at Weights & Biases, so that the next one in this process is another."""
-        super().close()
+    def _end(self) -> None:
         if self._run is not None:
-            self._run.finish()
+            self._run.finish()  # else the next one in this process would be the same

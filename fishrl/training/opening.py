@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from torchrl.envs import TransformedEnv
 
@@ -36,13 +36,6 @@ class Opened:
     stored: dict[str, Any] = field(default_factory=dict)  #: ``config.yaml`` as read; {} if new
     checkpoint: Checkpoint | None = None  #: from which it continues
     summary: dict[str, Any] | None = None  #: its result if it is finished
-
-    @property
-    def state(self) -> Literal["new", "continue", "finished"]:
-        """Whether it begins, continues from its checkpoint or is finished."""
-        if self.summary is not None:
-            return "finished"
-        return "new" if self.checkpoint is None else "continue"
 
     @cached_property
     def task(self) -> AbstractTask:
@@ -146,7 +139,7 @@ def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
         is_same = all(getattr(plan, name) == getattr(stored, name) for name in late)
         if is_same and plan.total_frames <= summary.get("frames", 0):
             return replace(opened, summary=summary)
-    if not folder.checked().has_begun():
+    if not folder.has_begun():
         return opened
     checkpoint = Checkpoint.read(folder.last)
     _refuse_other(plan, Plan.from_config(checkpoint.config), checkpoint.path)  # it has a checksum

@@ -79,10 +79,8 @@ class Progress(Callback):
             words = {name: "-" if v != v else f"{v:.3g}" for name, v in shown.items()}
             text = ", ".join(f"{name} {value}" for name, value in words.items())
             self._bar.set_postfix_str(text, refresh=False)
-        if (
-            self._bar.total is not None
-        ):  # a run may end some frames later; tqdm would drop the total
-            self._bar.total = max(self._bar.total, self._bar.n + amount)
+        # a run may end some frames later; tqdm would drop the total
+        self._bar.total = max(self._bar.total, self._bar.n + amount)
         self._bar.update(amount)
         if amount and self._bar.n == self._bar.total and self._is_terminal:
             self._bar.refresh()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import math
-import os
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -56,19 +54,15 @@ class RunFolder:
         With ``reuse`` a folder of that name is taken if it holds no run yet.
         """
         base = Path(parent).expanduser()
-        if Path(name).name != name or name == "..":
-            raise ValueError(f"name = {name}: is the name of a folder in {base}, without slashes")
-        for number in itertools.count(1):
-            path = base / (name if number == 1 else f"{name}-{number}")
+        paths = (base / (name if n == 1 else f"{name}-{n}") for n in itertools.count(1))
+        while True:
+            path = next(paths)
             try:
                 path.mkdir(parents=True)
-                break
             except FileExistsError:
-                if reuse and not cls(path).config.is_file():
-                    break
-            except OSError as error:
-                raise _unwritable(path, error.strerror or str(error)) from error
-        return cls(path).checked()
+                if not reuse or cls(path).config.is_file():
+                    continue
+            return cls(path)
 
     @classmethod
     def of_existing(cls, path: str | Path) -> RunFolder:
@@ -81,12 +75,6 @@ class RunFolder:
                 "runs/predation-seed0"
             )
         return folder
-
-    def checked(self) -> RunFolder:
-        """Return the folder if files can be written into it, or raise ValueError."""
-        if not os.access(self.path, os.W_OK | os.X_OK):
-            raise _unwritable(self.path, "no write permission")
-        return self
 
     def has_begun(self) -> bool:
         """Return whether there is anything to resume: a checkpoint, or frames without one."""
@@ -161,26 +149,9 @@ def read_summary(path: Path) -> dict[str, Any]:
 
 def write_json(path: Path, values: Mapping[str, Any] | Sequence[Any]) -> None:
     """Write nested numbers and words; NaN and infinities, which JSON lacks, become null."""
-    write_whole(
-        path, json.dumps(_as_json(values), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
-    )
-
-
-def _as_json(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _as_json(entry) for name, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_as_json(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    write_whole(path, TypeAdapter(Any).dump_json(values, indent=2).decode() + "\n")
 
 
 def write_yaml(path: Path, values: Mapping[str, Any]) -> None:
     """Write nested settings."""
     write_whole(path, yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True))
-
-
-def _unwritable(path: Path, reason: str) -> ValueError:
-    return ValueError(
-        f"run folder {path}: cannot be written ({reason}); choose another with folder=... or "
-        "change its permissions"
-    )

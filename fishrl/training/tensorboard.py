@@ -1,6 +1,6 @@
 """A logger for TensorBoard."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,21 +14,16 @@ class TensorboardLogger(CsvLogger):
     ``open`` raises ImportError if tensorboard is not installed.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._writer: Any = None
+    _writer: Any = None
 
-    def open(
-        self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
-    ) -> None:
-        """Start event files as well; after a resume, later steps of earlier files are hidden."""
+    def _begin(self, folder: Path, *, config: Mapping[str, Any], step: int) -> None:
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError as error:
             raise ImportError(
                 f"logger=tensorboard needs a package: {show_install('tensorboard')}; or logger=csv"
             ) from error
-        super().open(folder, columns=columns, config=config, step=step)
+        # later steps of earlier files are hidden
         self._writer = SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
 
     def _send(self, measured: Mapping[str, float], *, step: int) -> None:
@@ -37,8 +32,6 @@ class TensorboardLogger(CsvLogger):
                 self._writer.add_scalar(name, value, step)
         self._writer.flush()
 
-    def close(self) -> None:
-        """End the files."""
-        super().close()
+    def _end(self) -> None:
         if self._writer is not None:
             self._writer.close()

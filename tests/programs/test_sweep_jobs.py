@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
-import pty
-import select
 import shlex
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
+import psutil
 import pytest
 
+from fishrl.children import start_child
 from fishrl.programs import train
 from fishrl.programs.configuration import CONF
-from fishrl.programs.program import show_command
-from fishrl.programs.sweeps import ending, jobs
+from fishrl.programs.sweeps import jobs
 from fishrl.programs.sweeps.groups import group_runs
 from fishrl.programs.sweeps.jobs import Job, find_runs, plan_jobs
 from fishrl.programs.sweeps.runs import read_run, read_runs
 from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import describe
 from fishrl.training import open_run
-from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.run_folder import write_json, write_yaml
 from tests.modules.test_lateral_line import make as make_classifier
-from tests.physics.fast.test_workers import find_processes
 from tests.training.conftest import make_run_folder, read_rows
 
 ROOT = Path(__file__).parents[2]
@@ -124,15 +122,15 @@ def test_run_continues_only_with_same_settings(
     first = begin(tmp_path)
     assert find_runs([f"folder={tmp_path}"]) == [first.path]
     assert find_runs([f"folder={tmp_path}", "seed=1,2"]) == []
-    assert open_run(first.settings).state == "new"
+    assert open_run(first.settings).summary is None
     write_json(first.path / "summary.json", {"frames": 2800})
-    assert open_run(first.settings).state == "finished"
+    assert open_run(first.settings).summary is not None
     (longer,) = plan_jobs([f"folder={tmp_path}", "total_frames=3000", "port=9900"])
-    assert open_run(longer.settings).state == "new"
+    assert open_run(longer.settings).summary is None
     (compared,) = plan_jobs([f"folder={tmp_path}", "baselines=[random]", "log_frames=8"])
-    assert open_run(compared.settings).state == "new"  # it is evaluated again
+    assert open_run(compared.settings).summary is None  # it is evaluated again
     (logged,) = plan_jobs([f"folder={tmp_path}", "log_frames=8"])
-    assert open_run(logged.settings).state == "finished"
+    assert open_run(logged.settings).summary is not None
     for word in ("gamma=0.5", "task.reynolds=500", "recognition=oracle", "algorithm=dqn"):
         (other,) = plan_jobs([f"folder={tmp_path}", word])
         with pytest.raises(ValueError, match=rf"is .* in {first.path}; take another folder"):
@@ -150,7 +148,7 @@ def test_other_classifier_makes_another_run(tmp_path: Path) -> None:
     for file, is_same in zip(files, (True, True, False), strict=True):
         (job,) = plan_jobs([f"folder={tmp_path}", f"recognition.path={file}"])
         if is_same:
-            assert open_run(job.settings).state == "new"
+            assert open_run(job.settings).summary is None
         else:
             with pytest.raises(ValueError, match="path = classifier "):
                 open_run(job.settings)
@@ -188,74 +186,78 @@ def test_killed_job_leaves_others_and_is_continued(
     assert "1 of 2 runs finished" in said
     (rerun,) = [line.partition("rerun: ")[2] for line in said.splitlines() if "rerun: " in line]
     assert shlex.split(rerun)[1:] == ["train", f"resume={killed}", f"modules=[{HERE}]"]
-    before = (whole / "summary.json").stat().st_mtime_ns
-    assert run_sweep(*command) == 0
-    assert read_rows(killed) == read_rows(whole)
-    assert "2 of 2 runs finished" in capfd.readouterr().out
-    assert (whole / "summary.json").stat().st_mtime_ns == before
-    killed.joinpath("summary.json").unlink()  # evaluated again, by the command that was shown
     train.main(shlex.split(rerun)[2:])
     assert read_run(killed).status == "finished"
+    assert read_rows(killed) == read_rows(whole)
+    before = (whole / "summary.json").stat().st_mtime_ns
+    assert run_sweep(*command) == 0
+    assert "2 of 2 runs finished" in capfd.readouterr().out
+    assert (whole / "summary.json").stat().st_mtime_ns == before
 
 
-def test_terminated_sweep_saves_its_runs(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    command = [*SETTINGS, f"folder={tmp_path}", "seed=0,1", f"logger._target_={HERE}.Ending"]
-    assert run_sweep(*command) == 1
+def test_terminated_sweep_waits_until_its_run_has_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run = f"""
+import os, pathlib, signal, sys, time
+def save(*_):
+    time.sleep(0.5)
+    pathlib.Path({str(tmp_path)!r}, "saved").touch()
+    sys.exit(128 + signal.SIGTERM)
+signal.signal(signal.SIGTERM, save)
+os.kill(os.getppid(), signal.SIGTERM)
+time.sleep(600)
+"""
+
+    def start(_: str, *words: str, **options: Any) -> Any:
+        return start_child(f"exec({run!r})", *words, **options)
+
+    monkeypatch.setattr(jobs, "start_child", start)
+    assert run_sweep(f"folder={tmp_path}", "seed=0,1") == 1
+    assert (tmp_path / "saved").is_file()
+    assert [path.name for path in tmp_path.glob("seed*")] == ["seed_0"]  # the other never began
+    assert not list(tmp_path.glob("*/failure.txt"))
     done = capfd.readouterr()
     assert "interrupted; the same command with the same folder=... continues" in done.err
-    assert "Traceback" not in done.err
-    (run,) = read_runs(tmp_path)  # the other one never began
-    assert (run.status, run.frames) == ("stopped", 8)
-    assert Checkpoint.read(run.path / "checkpoints" / "last").frames == 8
-    assert not (run.path / "failure.txt").exists()
-    said = (run.path / "output.log").read_text(encoding="utf-8")
-    command = show_command("train", "resume=")
-    assert f"SIGTERM: saved at frame 8; resume with: {command}" in said
-    assert f"rerun: {command}" in done.out
-    assert "0 of 2 runs finished" in done.out
+    assert "Traceback" not in done.err and "0 of 2 runs finished" in done.out
 
 
-def test_closed_terminal_ends_sweep_and_saves(tmp_path: Path) -> None:
-    words = [*SETTINGS, f"folder={tmp_path}", f"+logger._target_={HERE}.Lingering"]
-    process, terminal = pty.fork()
-    if process == 0:
-        os.chdir(ROOT)
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the tests run under nohup
-        words += ["--multirun", "seed=0,1"]
-        os.execv(sys.executable, [sys.executable, "-m", "fishrl", "train", *words])
-    while not list(tmp_path.glob("*/mark")):
-        if select.select([terminal], [], [], 0.1)[0]:
-            os.read(terminal, 1000)
-    os.close(terminal)
-    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 1
-    (run,) = read_runs(tmp_path)
-    assert (run.status, run.frames) == ("stopped", 8)
-    assert not (run.path / "failure.txt").exists()
+def read_pid(file: Path) -> int:
+    """Return the number in a file, once it is there."""
+    deadline = time.monotonic() + 60.0
+    while not (file.is_file() and file.read_text()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return int(file.read_text())
 
 
-@pytest.mark.sweep
-def test_killed_sweep_leaves_no_process(tmp_path: Path) -> None:
-    """Neither processes of its launcher nor trainings, which descend from them."""
-    words = [*SETTINGS, f"folder={tmp_path}", f"+logger._target_={HERE}.Lingering", "seed=0,1"]
-    command = [sys.executable, "-m", "fishrl", "train", "--multirun", *words]
-    marked = {**os.environ, "LEFT_BY": str(tmp_path)}
-    with subprocess.Popen([*command, "hydra/launcher=joblib"], cwd=ROOT, env=marked) as sweep:
-        while not list(tmp_path.glob("*/mark")):
-            assert sweep.poll() is None
-            time.sleep(0.1)
-        sweep.kill()
-    deadline = time.monotonic() + 300.0
-    while (left := find_processes(str(tmp_path))) and time.monotonic() < deadline:
+def is_over(pid: int) -> bool:
+    return not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+
+
+def test_job_of_killed_sweep_ends_with_its_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a process of its own, as joblib's, which does not end with the sweep."""
+    (job,) = plan_jobs([f"folder={tmp_path}"])
+    files = [tmp_path / name for name in ("pid_of_job", "pid_of_run")]
+
+    def start(*_: str, **options: Any) -> Any:
+        files[0].write_text(str(os.getpid()))
+        code = f"import os, time; open({str(files[1])!r}, 'w').write(str(os.getpid()))"
+        return start_child(f"{code}; time.sleep(600)", **options)
+
+    monkeypatch.setattr(jobs, "start_child", start)
+    sweep = os.fork()
+    if sweep == 0:
+        multiprocessing.get_context("fork").Process(target=jobs.run_job, args=(job,)).start()
+        time.sleep(600.0)
+    left = [read_pid(file) for file in files]
+    os.kill(sweep, signal.SIGKILL)
+    os.waitpid(sweep, 0)
+    deadline = time.monotonic() + 60.0
+    while not all(map(is_over, left)) and time.monotonic() < deadline:
         time.sleep(0.1)
-    assert not left
-
-
-@pytest.mark.usefixtures("heeds_ctrl_c")
-def test_sweep_keeps_ignored_signals_ignored() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with ending.ending_runs():
-        assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
-        assert signal.getsignal(signal.SIGTERM) != signal.SIG_DFL
+    assert all(map(is_over, left))
 
 
 @pytest.mark.sweep

@@ -40,16 +40,6 @@ class Gliding(CsvLogger):
     """Nothing happens."""
 
 
-class Ending(CsvLogger):
-    """At frame 8 the sweep receives SIGTERM and passes it on to this run."""
-
-    def log(self, metrics: Mapping[str, float]) -> None:
-        super().log(metrics)
-        if metrics["frames"] == 8:
-            os.kill(os.getppid(), signal.SIGTERM)
-            await_signal()
-
-
 class Marking(CsvLogger):
     """Can leave a mark in the run's folder."""
 

@@ -13,7 +13,7 @@ import torch
 from fishrl.envs import Flows, PredationPair, make_env
 from fishrl.training import complete, open_run
 from fishrl.training.algorithms.dqn import DQN
-from fishrl.training.cluster import ClusterCollector
+from fishrl.training.cluster import ClusterCollector, noticing_losses
 from fishrl.training.loop import Training
 from tests.envs.conftest import SMALL, move_kinematically
 from tests.training.conftest import Toy, make_toy_plan, read_rows
@@ -41,8 +41,10 @@ def cluster() -> Iterator[Any]:
 
     from fishrl.training.cluster import join_cluster
 
-    machines = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-    machines.add_node(num_cpus=1)
+    alone = {"num_cpus": 1, "include_log_monitor": False}
+    head = {**alone, "include_dashboard": False, "no_monitor": True}
+    machines = Cluster(initialize_head=True, head_node_args=head)
+    machines.add_node(**alone)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAY_ADDRESS", machines.address)
         assert join_cluster(2)
@@ -74,18 +76,13 @@ def undisturbed(cluster: Any, tmp_path_factory: pytest.TempPathFactory) -> Train
 
 
 @pytest.mark.cluster
-def test_run_continues_exactly_after_lost_collector_and_machine(
+def test_run_continues_exactly_after_lost_machine(
     toy: Toy, cluster: Any, undisturbed: Training, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import ray
-
     send, batches = ClusterCollector._send_weights, itertools.count()
 
     def send_and_lose(self: ClusterCollector) -> None:
-        number = next(batches)
-        if number == 15:
-            ray.kill(self._flows.remote_collectors[0])
-        elif number == 15 + 1 + 15:  # of 10 since the last checkpoint
+        if next(batches) == 15:
             cluster.remove_node(cluster.list_all_nodes()[-1], allow_graceful=False)
             cluster.wait_for_nodes()
         send(self)
@@ -94,12 +91,12 @@ def test_run_continues_exactly_after_lost_collector_and_machine(
     training = toy.begin(name="run", **SHARED)
     with pytest.raises(ValueError, match="the cluster has 1 CPUs, and each takes one"):
         complete(training)
-    assert next(batches) == 32
+    assert next(batches) == 16
     assert training.folder.failure.is_file()
     cluster.add_node(num_cpus=1)
     complete(toy.reopen("run"))
     assert not training.folder.failure.exists()
-    assert next(batches) == 32 + 1 + 10
+    assert next(batches) == 16 + 1 + 20  # from the checkpoint at frame 80
     assert toy.rows("run") == read_rows(undisturbed.folder.path)
 
 
@@ -131,9 +128,19 @@ def test_collectors_use_newest_weights_and_count_frames(
             weights.fill_(0.0)
     assert next(batches)["agents", "action_value"].eq(0.0).all()
     next(batches)
-    chance: Any = training.learner.explorer[-1]  # type: ignore[index]
+    chance: Any = training.learner.explorer.policy[-1]  # type: ignore[index]
     assert float(chance.eps) == pytest.approx(1.0 - (3 * 4 - 4) / 16)
     training.close()
+
+
+@pytest.mark.cluster
+@pytest.mark.parametrize("loss", ["ActorUnavailableError", "ObjectReconstructionFailedError"])
+def test_every_loss_of_ray_is_a_lost_collector(loss: str) -> None:
+    from ray import exceptions
+
+    kind = getattr(exceptions, loss)
+    with pytest.raises(ChildProcessError, match="is lost"), noticing_losses():
+        raise kind.__new__(kind)
 
 
 @pytest.mark.cluster

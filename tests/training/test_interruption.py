@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
@@ -46,6 +50,22 @@ def test_ignored_signals_stay_ignored() -> None:
         signal.raise_signal(signal.SIGINT)
         interruption.check()
     assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+
+
+def test_run_prints_after_its_terminal_is_closed(tmp_path: Path) -> None:
+    process, terminal = pty.fork()
+    if process == 0:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the tests run under nohup
+        interruption = Interruption()
+        with handling_signals(interruption.handle):
+            (tmp_path / "ready").touch()
+            signal.pause()
+            os.write(1, b"saved")  # an error on a closed terminal
+            os._exit(3)
+    while not (tmp_path / "ready").exists():
+        time.sleep(0.02)
+    os.close(terminal)
+    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 3
 
 
 def test_outside_the_main_thread_signals_are_left_alone() -> None:
