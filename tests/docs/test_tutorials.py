@@ -12,7 +12,7 @@ from fishrl.envs import AbstractTask, Flows
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.views import make_scene
 from tests.docs.pages import PAGES, count_lines, list_pages, read_blocks
-from tests.envs.conftest import SMALL
+from tests.envs.conftest import SMALL, make_streams
 from tests.envs.test_real_flow import TINY
 
 #: Actions of a few steps.
@@ -53,6 +53,7 @@ def test_python_blocks_of_page_run(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", make_streams)
     names: dict[str, Any] = {"__name__": "__main__", **SIZES}
     for number, block in enumerate(read_blocks(page)):
         if block.language == "python":

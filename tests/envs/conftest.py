@@ -29,14 +29,15 @@ CONTINUOUS = Turn(beat=ContinuousFrequency(frequency_range=(0.5, 1.0)))
 def move_kinematically(patch: pytest.MonkeyPatch) -> None:
     """Replace flows by fish that move at constant speed, and wakes by undisturbed streams."""
     patch.setattr(fishrl.envs.flow_env, "InPlaceSolver", KinematicSolver)
+    patch.setattr(fishrl.envs.streams, "load_wakes", lambda recipe, _: make_streams(recipe))
 
-    def make_bank(recipe: WakeRecipe, _: object) -> WakeBank:
-        speed = torch.tensor(recipe.speeds).view(-1, 1, 1, 1)
-        ux = speed.expand(-1, 1, recipe.config.height, recipe.config.width)
-        stream = torch.stack(compute_equilibrium(torch.zeros_like(ux), ux, torch.zeros_like(ux)), 2)
-        return WakeBank(populations=stream, shedding_frequencies=torch.ones(len(speed)))
 
-    patch.setattr(fishrl.envs.streams, "load_wakes", make_bank)
+def make_streams(recipe: WakeRecipe) -> WakeBank:
+    """Return undisturbed streams in place of wakes, which take minutes to develop."""
+    speed = torch.tensor(recipe.speeds).view(-1, 1, 1, 1)
+    ux = speed.expand(-1, 1, recipe.config.height, recipe.config.width)
+    stream = torch.stack(compute_equilibrium(torch.zeros_like(ux), ux, torch.zeros_like(ux)), 2)
+    return WakeBank(populations=stream, shedding_frequencies=torch.ones(len(speed)))
 
 
 @pytest.fixture

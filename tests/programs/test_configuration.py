@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from omegaconf import OmegaConf
 
 from fishrl.envs import Flows, KarmanGait
 from fishrl.programs import evaluate, summarize, train, train_lateral_line
-from fishrl.programs.configuration import quote
+from fishrl.programs.configuration import parse, quote, read_value
 from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.run_folder import write_yaml
 
@@ -145,15 +146,24 @@ def draw_words(letters: str, num: int) -> list[str]:
 
 
 def test_quoted_word_is_read_verbatim() -> None:
-    for word in ["null", "1e3", "~/x", *draw_words("ab1 '\"\\${}[](),:=~#%?/é|&<>@*", 8)]:
-        assert read([f"folder={quote(word)}"]).folder == word
+    words = ["null", "1e3", "~/x", *draw_words("ab1 '\"\\${}[](),:=~#%?/é|&<>@*", 40)]
+    assert [read_as_hydra(f"folder={quote(word)}") for word in words] == words
+    assert read([f"folder={quote(words[-1])}"]).folder == words[-1]
 
 
 def test_typed_paths_and_names_are_words() -> None:
     given = ["1e3", "true", "0x1", "o'brien", "[x]/é"]
-    for word in [*given, *draw_words("ab1'\".%?/é|&<>@*=;!#", 12)]:
-        settings = read([f"baselines=[{word}x]", f"name={word}x", f"folder={word}"])
-        assert settings.baselines[0] == settings.name == f"{word}x"
-        assert settings.folder == word
+    words = [*given, *draw_words("ab1'\".%?/é|&<>@*=;!#", 40)]
+    assert [read_as_hydra(f"folder={read_value(word, is_text=True)}") for word in words] == words
+    word = words[-1]
+    settings = read([f"baselines=[{word}x]", f"name={word}x", f"folder={word}"])
+    assert settings.baselines[0] == settings.name == f"{word}x"
     assert read(["folder=~/x"]).folder == str(Path.home() / "x")
     assert summarize.main.read(["runs/a=1"]).folder == "runs/a=1"
+
+
+def read_as_hydra(override: str) -> Any:
+    """Return the value that an override sets, through a YAML file as hydra composes it."""
+    (parsed,) = parse([override])
+    config = OmegaConf.create({"folder": parsed.value()})
+    return OmegaConf.to_container(config, resolve=True)["folder"]  # type: ignore[index, call-overload]

@@ -37,7 +37,6 @@ MORE = {
     "drqn": ["algorithm.sequence_length=2"],
     "ppo": ["algorithm.rollout_length=2"],
     "sac": ["task=predation_continuous"],
-    "wandb": ["logger.is_offline=true"],
     # continuous actions
     "follower": ["algorithm=sac"],
     "follower_small": ["algorithm=sac"],
@@ -60,7 +59,7 @@ def test_every_preset_and_task_has_a_valid_flow(group: str, name: str) -> None:
 def test_every_yaml_runs_and_restores_signal_handlers(
     yaml: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("WANDB_SILENT", "true")
+    monkeypatch.setenv("WANDB_MODE", "disabled")
     group, _, file = yaml.partition("/")
     name = Path(file).stem
     before = [signal.getsignal(number) for number in SIGNALS]

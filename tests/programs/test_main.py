@@ -30,16 +30,10 @@ def test_fishrl_lists_its_programs() -> None:
         assert line.replace("``", "`") in said
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["trian", "seed=0"], "there is no program 'trian'; did you mean 'train'?"),
-        (["train", "totl_frames=3"], "there is no 'totl_frames'; did you mean 'total_frames'?"),
-    ],
-)
-def test_mistake_is_one_line_error(words: list[str], said: str) -> None:
-    done = run(*words)
-    assert (done.returncode, done.stderr) == (1, f"error: {said}\n")
+def test_misspelt_program_suggests_nearest() -> None:
+    done = run("trian", "seed=0")
+    said = "error: there is no program 'trian'; did you mean 'train'?\n"
+    assert (done.returncode, done.stderr) == (1, said)
 
 
 @pytest.mark.parametrize(

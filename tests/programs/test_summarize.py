@@ -209,10 +209,10 @@ def test_incomplete_runs_are_named(tmp_path: Path) -> None:
 
 
 @contextmanager
-def hold_elsewhere(path: Path, then: str = "sys.stdin.read()") -> Iterator[Any]:
-    """Let another process hold a run and then do something, until it is killed."""
+def hold_elsewhere(path: Path) -> Iterator[Any]:
+    """Let another process hold a run until it is killed."""
     code = f"import fcntl, sys, time; held = open({str(RunFolder(path).lock)!r}, 'a'); "
-    code += f"fcntl.lockf(held, fcntl.LOCK_EX); print(1, flush=True); {then}"
+    code += "fcntl.lockf(held, fcntl.LOCK_EX); print(1, flush=True); sys.stdin.read()"
     pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "cwd": ROOT}
     with subprocess.Popen([sys.executable, "-c", code], **pipes) as holder:
         assert holder.stdout.readline() == b"1\n"

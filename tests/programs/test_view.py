@@ -10,7 +10,6 @@ from pathlib import Path
 import imageio_ffmpeg
 import pytest
 
-from fishrl.envs import Oracle
 from fishrl.envs.scene import Frame
 from fishrl.programs import view
 from fishrl.programs.train import RunCallback
@@ -59,16 +58,6 @@ def test_flow_is_filmed(ending: str, tmp_path: Path) -> None:
     assert num_frames > 4
     with pytest.raises(SystemExit, match="a film is of one flow"):
         view.main([*words, "episodes=2", f"save={film}"])
-
-
-def test_policy_is_viewed_in_task_of_its_run(tmp_path: Path) -> None:
-    few = ["recognition=oracle", "baselines=[]", "picture_episodes=2", "total_frames=16"]
-    run(TRAINING.read([*SETTINGS, *few, f"folder={tmp_path}", "name=run"]))
-    assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "episode.rrd")
-    settings = view.main.read([f"policy={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"])
-    assert (settings.recognition, settings.preset) == (Oracle(), "gait_small")
-    assert settings.task.body_length == 20
-    assert settings.task.stream.speeds_bl == (1.0, 1.2, 1.4)
 
 
 def test_path_alone_opens_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -217,7 +217,7 @@ OFFLINE |= {"updates_per_frame": 1.0, "tau": 0.03, "buffer_size": 2000}
     ("algorithm", "is_continuous", "settings"),
     [
         (DiscreteSAC(target_entropy_weight=0.3), False, OFFLINE),
-        (SAC(alpha_init=0.2), True, OFFLINE),
+        pytest.param(SAC(alpha_init=0.2), True, OFFLINE, marks=pytest.mark.slow),
         pytest.param(PPO(rollout_length=16), False, ONLINE, marks=pytest.mark.slow),
         (PPO(rollout_length=16), True, ONLINE),
     ],

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from fishrl.envs import Flows, Oracle, PredictedFlowLabel, TrueFlowLabel
-from fishrl.training import Algorithm, Callback, DiscreteSAC, evaluate, load_plan, load_policy
+from fishrl.training import Algorithm, DiscreteSAC, evaluate, load_plan, load_policy
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.loop import Training
+from fishrl.training.policies import prepare
 from fishrl.zoo import find_policy
 from tests.training.conftest import QUICK, Toy
 from tests.training.toy_fish import ToyPredation
@@ -34,21 +34,13 @@ def test_evaluate_reproduces_the_final_evaluation_of_a_run(toy: Toy, algorithm: 
 
 @pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("is_task_given", [False, True])
-def test_flows_are_labelled_as_in_the_run_by_default(
-    is_task_given: bool,
-) -> None:
+def test_flows_are_labelled_as_in_the_run_by_default(is_task_given: bool) -> None:
     run, labelled_by = find_policy("gait_sharp"), list[set[type]]()
-
-    class Labels(Callback):
-        def on_begin(self, env: Any) -> None:
-            types = {type(transform) for transform in env.transform}
-            labelled_by.append(types & {PredictedFlowLabel, TrueFlowLabel})
-
-    given = {"task": replace(load_plan(run).task, time_limit=2)} if is_task_given else {}
+    given: Any = {"task": load_plan(run).task} if is_task_given else {}
     for source in ({}, {"recognition": Oracle()}, {"recognition": None}):
-        evaluate(
-            run, **given, **source, episodes=1, flows=Flows(compile=False), callbacks=[Labels()]
-        )
+        env, _ = prepare(run, **given, **source, flows=Flows(num_envs=1, compile=False))
+        types = {type(transform) for transform in env.transform}
+        labelled_by.append(types & {PredictedFlowLabel, TrueFlowLabel})
     assert labelled_by == [{PredictedFlowLabel}, {TrueFlowLabel}, set()]
 
 

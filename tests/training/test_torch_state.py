@@ -101,7 +101,7 @@ def plain() -> dict[Any, list[dict[Any, torch.Tensor]]]:
 
 @pytest.mark.parametrize("run", [step_env, step_solver])
 @pytest.mark.parametrize("name", STATES)
-def test_flows_are_the_same_in_every_global_state_of_torch(
+def test_global_torch_state_changes_no_flow(
     name: str, run: Any, plain: dict[Any, list[dict[Any, torch.Tensor]]]
 ) -> None:
     draw = random.Random(f"{name} {run.__name__}")
@@ -119,7 +119,7 @@ def test_flows_are_the_same_in_every_global_state_of_torch(
             assert torch.equal(got[key], value), key
 
 
-def test_training_is_the_same_in_every_global_state_of_torch(toy: Toy, whole: Any) -> None:
+def test_global_torch_state_changes_no_training(toy: Toy, whole: Any) -> None:
     with STATES["float64"](), STATES["autocast"](), STATES["inference"]():
         training = toy.begin(name="run", **QUICK)
         training.run()

@@ -38,9 +38,7 @@ def step(learner: Learner, seed: int) -> dict[str, Tensor]:
     return learner.update()
 
 
-def test_traced_step_equals_the_plain_step_without_calling_the_loss(
-    learner: Learner, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_traced_step_equals_plain_step(learner: Learner, monkeypatch: pytest.MonkeyPatch) -> None:
     plain = copy.deepcopy(learner.loss.state_dict())
     optimiser = copy.deepcopy(learner.optimiser.state_dict())
     with monkeypatch.context() as patch:
