@@ -65,7 +65,7 @@ def make_scene(task: AbstractTask) -> Scene:
         panels=(
             Panel(
                 name="reward r, as ±log₂(1 + |r|)",
-                series=_plot_fish("reward", "reward", num_fish),
+                series=plot_fish("reward", "reward", num_fish),
                 is_step=True,
                 is_output=True,
                 is_log=True,
@@ -118,9 +118,9 @@ def _plot_motion(num_fish: int, bodies: Sequence[str]) -> tuple[Panel, ...]:
         for body in bodies
         for column, axis in enumerate("xy")
     )
-    beat = _plot_fish("frequency", "frequency", num_fish)
-    angle = _plot_fish("angle_of_attack", "angle", num_fish)
-    power = _plot_fish("work", "power", num_fish, is_rate=True)
+    beat = plot_fish("frequency", "frequency", num_fish)
+    angle = plot_fish("angle_of_attack", "angle", num_fish)
+    power = plot_fish("work", "power", num_fish, is_rate=True)
     return (
         Panel(name="tail-beat frequency [1/T]", series=beat, is_step=True),
         Panel(name="angle of attack [°]", series=angle),
@@ -142,11 +142,9 @@ def name_fish(key: str, number: int) -> str:
     return f"{key}_{number}" if number else key
 
 
-def _plot_fish(key: str, label: str, num_fish: int, *, is_rate: bool = False) -> tuple[Series, ...]:
+def plot_fish(key: str, label: str, num_fish: int, *, is_rate: bool = False) -> tuple[Series, ...]:
     """Return a line for each fish."""
-    if num_fish == 1:
-        return (Series(key=key, label=label, is_rate=is_rate),)
-    labels = [f"{label}, fish {i}" for i in range(num_fish)]
+    labels = [f"{label}, fish {i}" for i in range(num_fish)] if num_fish > 1 else [label]
     return _plot_columns(key, labels, is_rate=is_rate)
 
 

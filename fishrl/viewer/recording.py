@@ -5,6 +5,7 @@ A frame carries the current action and its reward, which is known only at the en
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import torch
 from tensordict import TensorDictBase
@@ -16,7 +17,7 @@ from fishrl.envs.agents import TERM, read_entry
 from fishrl.envs.episodes import Episodes, Policy, has_succeeded, name_terms, run_episodes
 from fishrl.envs.extensions import HasScene, find_extension, name_flow
 from fishrl.envs.flow_env import FlowEnv
-from fishrl.envs.scene import Choice, Ending, Frame, Panel, Scene, Series
+from fishrl.envs.scene import Choice, Ending, Frame, Panel, Scene
 from fishrl.envs.task import AbstractTask
 
 
@@ -40,15 +41,11 @@ def make_env_scene(
     """
     scene: Scene = views.make_scene(env.base_env.task)
     num_fish, terms = env.base_env.task.num_fish, name_terms(env)
-    series = (
-        Series(key=term, label=term.removeprefix(TERM) + f", fish {i}" * (num_fish > 1), column=i)
-        for term in terms
-        for i in range(num_fish)
-    )
     if len(terms) > 1:
+        series = (views.plot_fish(term, term.removeprefix(TERM), num_fish) for term in terms)
         panel = Panel(
             name="terms of r, as ±log₂(1 + |term|)",
-            series=tuple(series),
+            series=tuple(chain.from_iterable(series)),
             is_step=True,
             is_output=True,
             is_log=True,
