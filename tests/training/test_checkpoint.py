@@ -152,17 +152,6 @@ def test_checkpoint_holds_all_components_as_plain_tensors(
     assert rows and all((value[16:] == 0).all() for value in rows)
 
 
-def test_full_disk_is_reported_and_keeps_the_previous_checkpoint(tmp_path: Path) -> None:
-    save(tmp_path / "last", value=1.0)
-    with (
-        limited_disk(1000),
-        pytest.raises(CheckpointNotWritten, match=r"cannot be written \(.*is unchanged"),
-    ):
-        save(tmp_path / "last", value=2.0)
-    assert [path.name for path in tmp_path.iterdir()] == ["last"]
-    assert (load(tmp_path / "last").weight == 1.0).all()
-
-
 def test_run_ended_in_its_first_checkpoint_starts_over(
     toy: Toy, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -247,14 +247,10 @@ def test_damaged_checkpoint_is_noticed_before_anything_compiles(
     toy.begin(name="run", total_frames=16, **QUICK).run()
     (toy.folder / "run" / "summary.json").unlink()
     monkeypatch.setattr(Training, "_set_up", lambda _: pytest.fail("set up"))
-    states = sorted((toy.folder / "run" / "checkpoints" / "last").rglob("state.pt"))
-    assert len(states) > 3
-    for state in states:
-        content = state.read_bytes()
-        state.write_bytes(content[: len(content) // 2])
-        with pytest.raises(ValueError, match=rf"{state.parent.name}/state.pt has changed"):
-            toy.reopen("run")
-        state.write_bytes(content)
+    *_, state = sorted((toy.folder / "run" / "checkpoints" / "last").rglob("state.pt"))
+    state.write_bytes(state.read_bytes()[:-1])
+    with pytest.raises(ValueError, match=rf"{state.parent.name}/state.pt has changed"):
+        toy.reopen("run")
 
 
 def test_older_checkpoint_replaces_a_corrupt_one(toy: Toy) -> None:
