@@ -1,6 +1,6 @@
 """Tables of a run in Markdown: goals, speeds, costs."""
 
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -10,8 +10,6 @@ import numpy as np
 from experiments.benchmarks.measuring import Benchmark, Results
 from fishrl.files import write_whole
 from fishrl.pages import write_table
-
-BEGIN, END = (f"<!-- measured: {mark} -->" for mark in ("begin", "end"))
 
 
 class Quartiles(NamedTuple):
@@ -163,16 +161,19 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
 )
 
 
-#: Groups whose tables are on the page; the goals summarise the others.
-PAGE = ("steps", "decisions", "solver", "coupled", "gpu")
+#: Marks on the page, and the groups whose tables stand between them; goals summarise the others.
+PRESETS, MEASURED = "presets", "measured"
+PAGE = {PRESETS: ("steps", "decisions"), MEASURED: ("solver", "coupled", "gpu")}
 
 
-def render_results(results: Results, groups: Container[str] | None = None) -> str:
-    """Return a description of the run, its goals and the tables of some groups, by default all."""
+def render_results(results: Results, mark: str | None = None) -> str:
+    """Return a description of the run, its goals and the tables of a mark, by default of all."""
     goals = write_table(("goal", "target", "measured", "result"), list_goals(results))
     tables = [f"### Goals\n\nRatios of the same round: median and quartiles.\n\n{goals}"]
+    if mark == PRESETS:
+        tables = []
     for group, title, note, columns in TABLES:
-        if (groups is None or group in groups) and (cases := results.of_group(group)):
+        if (mark is None or group in PAGE[mark]) and (cases := results.of_group(group)):
             cells = [[COLUMNS[c](case, results) or "–" for c in columns] for case in cases]
             parts = [f"### {title}", note, write_table(columns, cells)]
             tables.append("\n\n".join(filter(None, parts)))
@@ -194,13 +195,22 @@ def describe_run(results: Results) -> str:
 
 
 def write_page(results: Results, figures: dict[Path, str], page: Path) -> None:
-    """Replace the text between the marks of a page by tables and figures with captions."""
+    """Replace the text between the marks of a page by tables and figures with captions.
+
+    Marks whose groups were not measured keep theirs.
+    """
     pictures = [
         f"![{caption}]({path.relative_to(page.parent)})" for path, caption in figures.items()
     ]
-    before, begin, rest = page.read_text(encoding="utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not (begin and end):
-        raise ValueError(f"{page}: put one line {BEGIN} and below it one line {END} into it")
-    text = "\n\n".join([render_results(results, PAGE), *pictures])
-    write_whole(page, f"{before}{BEGIN}\n{text}\n{END}{after}")
+    text = page.read_text(encoding="utf-8")
+    for mark, groups in PAGE.items():
+        if not any(map(results.of_group, groups)):
+            continue
+        begin, end = (f"<!-- {mark}: {place} -->" for place in ("begin", "end"))
+        before, found, rest = text.partition(begin)
+        _, closed, after = rest.partition(end)
+        if not (found and closed):
+            raise ValueError(f"{page}: put one line {begin} and below it one line {end} into it")
+        new = "\n\n".join([render_results(results, mark), *pictures * (mark == MEASURED)])
+        text = f"{before}{begin}\n{new}\n{end}{after}"
+    write_whole(page, text)

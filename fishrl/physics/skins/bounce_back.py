@@ -18,7 +18,7 @@ from fishrl.physics.collision import (
     compute_moments,
 )
 from fishrl.physics.geometry import Outline, compute_velocity, locate_outline
-from fishrl.physics.rigid_motion import measure_gain, move_body, report_body
+from fishrl.physics.rigid_motion import move_body
 from fishrl.physics.skins.links import (
     MARGIN,
     MAX_SPACING,
@@ -152,16 +152,10 @@ def reflect_(
     pushes = to_markers(-force, links, counts).split(counts, -1)
     given = (returning - meeting.arriving).split(counts, -1)
     moved = []
-    for m, (body, own, state, outline) in enumerate(each):
+    for m, (state, parts) in enumerate(zip(states, each, strict=True)):
         rates = [rate + c for rate, c in zip(surfaces[m].rates, changes[m].unbind(-1), strict=True)]
         felt = RETURN_RATE * state.slip_impulse
-        update = report_body(state, outline, rates, force=(pushes[m][0], pushes[m][1]), slip=None)
-        # totals count the water inside, too: as if it filled the body and moved with it
-        momentum, spin_up = measure_gain(own, state, outline.deformation, update)
-        update = update._replace(
-            force=update.force + momentum - felt[:, :2], torque=update.torque + spin_up - felt[:, 2]
-        )
-        after = move_body(body, own, state, outline.deformation, update)
+        after = move_body(*parts, rates, force=(pushes[m][0], pushes[m][1]), felt=felt)
         surplus = state.surplus + given[m].sum((1, 2)).double()
         moved.append(after._replace(surplus=surplus, slip_impulse=state.slip_impulse - felt))
     return tuple(moved)

@@ -25,7 +25,7 @@ from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.collision import Collided, Macroscopic
 from fishrl.physics.geometry import Outline, locate_outline
-from fishrl.physics.rigid_motion import move_body, report_body
+from fishrl.physics.rigid_motion import move_body
 from fishrl.physics.skins.delta import SUPPORT, Stencil, interpolate, make_stencil, overlap_markers
 from fishrl.physics.skins.force_solve import ForceSolve, IterativeForcing
 from fishrl.physics.skins.skin import Skin
@@ -177,17 +177,17 @@ def couple_bodies(
                     values[axis] = values[axis] + weight * response
     moved = []
     for m, (body, surface, at) in enumerate(zip(bodies, surfaces, own, strict=True)):
-        outline = geometry.outlines[m]
-        update = report_body(
+        mine = [change for (k, _), change in zip(freedoms, changes, strict=True) if k == m]
+        after = move_body(
+            body,
+            params[m],
             states[m],
-            outline,
-            surface.change_rates(
-                [c for (k, _), c in zip(freedoms, changes, strict=True) if k == m]
-            ),
+            geometry.outlines[m],
+            surface.change_rates(mine),
             force=((mass * g[0])[:, at], (mass * g[1])[:, at]),
             slip=(slip[0][:, at], slip[1][:, at]),
         )
-        moved.append(move_body(body, params[m], states[m], outline.deformation, update))
+        moved.append(after)
     strength = 2.0 * geometry.spacing[:, None] * fluid.rho * weights
     return tuple(moved), strength * g[0][:, None], strength * g[1][:, None]
 
