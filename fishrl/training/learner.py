@@ -14,6 +14,7 @@ from torchrl.data.replay_buffers.samplers import Sampler
 from torchrl.envs import Transform
 from torchrl.objectives import LossModule, SoftUpdate
 
+from fishrl.training.averaging import WeightAverage
 from fishrl.training.settings import LearningSettings
 from fishrl.training.tracing import Traced
 
@@ -21,7 +22,8 @@ from fishrl.training.tracing import Traced
 class Networks(NamedTuple):
     """The networks of an algorithm, on the device where they learn."""
 
-    #: policy that is evaluated and saved, greedy under ``ExplorationType.DETERMINISTIC``
+    #: policy that is evaluated and saved, or the average of whose weights is; greedy under
+    #: ``ExplorationType.DETERMINISTIC``
     actor: TensorDictModuleBase
     #: policy that collects, for all fish, with the same weights; the collector saves its state
     explorer: TensorDictModuleBase
@@ -40,13 +42,22 @@ class Learner(ABC):
 
     Args:
         networks: networks and loss of the algorithm.
-        settings: learning rate, batch size and buffer size.
+        settings: learning rate, batch size, buffer size and average of the policy.
+
+    Attributes:
+        actor: policy that is evaluated and saved.
     """
 
     def __init__(self, networks: Networks, settings: LearningSettings) -> None:
         self.actor, self.explorer, self.loss = networks.actor, networks.explorer, networks.loss
+        self._average: WeightAverage | None = None
+        if settings.actor_average:
+            per_frame = settings.updates_per_frame * networks.num_fish
+            self._average = WeightAverage(self.actor, horizon=settings.actor_average * per_frame)
+            self.actor = self._average.policy
         self.transforms, self._is_traced = networks.transforms, networks.is_traced
-        self.reports, self._keys = tuple(self.loss.out_keys), [*self.loss.in_keys, *networks.keys]
+        self.reports = tuple(self.loss.out_keys)
+        self._keys = list(dict.fromkeys([*self.loss.in_keys, *networks.keys]))
         if not any(name.startswith("loss_") for name in self.reports):
             raise ValueError(
                 f"{type(self.loss).__name__} has the outputs {list(self.reports)}: the sum of "
@@ -103,6 +114,8 @@ class Learner(ABC):
         self.optimiser.zero_grad()
         sum(loss for name, loss in losses.items() if name.startswith("loss_")).backward()
         self.optimiser.step()
+        if self._average is not None:
+            self._average.step()
         return [losses[name].detach() for name in self.reports]
 
     def _renew_step(self, *_: Any) -> None:
@@ -111,7 +124,8 @@ class Learner(ABC):
     def components(self) -> dict[str, Any]:
         """Return the components of a checkpoint by name."""
         names = ("actor", "loss", "optimiser", "buffer")
-        return {name: getattr(self, name) for name in names}
+        average = {} if self._average is None else {"average": self._average}
+        return {name: getattr(self, name) for name in names} | average
 
 
 class OffPolicyLearner(Learner):
@@ -150,13 +164,14 @@ class OnPolicyLearner(Learner):
         gae_lambda: float,
     ) -> None:
         networks.loss.make_value_estimator(gamma=settings.gamma, lmbda=gae_lambda)
-        keys, sampler = ("advantage", "value_target"), SamplerWithoutReplacement()
-        super().__init__(networks._replace(sampler=sampler, keys=keys), settings)
+        super().__init__(networks._replace(sampler=SamplerWithoutReplacement()), settings)
+        self._collected = [*self._keys, ("next", "diverged")]
+        self._keys += ["advantage", "value_target"]
         self._length, self._decisions = rollout_length, list[TensorDictBase]()
 
     def _remember(self, transitions: TensorDictBase) -> None:
         """Take one decision of each flow, always in the same order."""
-        decision = transitions.select(*self.loss.in_keys, ("next", "diverged"))
+        decision = transitions.select(*self._collected)
         self._decisions.append(decision.clone())  # a collector reuses its memory
         if len(self._decisions) < self._length:
             return

@@ -26,6 +26,8 @@ class LearningSettings(Settings):
         learning_rate: Adam learning rate of all networks.
         tau: rate of the soft update of target networks at each gradient step.
         hidden: widths of the hidden layers of every network.
+        actor_average: env frames over which the weights of the policy are averaged. The average is
+            evaluated, selected and saved; the newest weights explore. 0: no average.
     """
 
     seed: Annotated[NonNegativeInt, Field(lt=2**32)] = 0
@@ -39,6 +41,7 @@ class LearningSettings(Settings):
     learning_rate: Annotated[PositiveFloat, Field(le=1)] = 5e-4
     tau: Annotated[NonNegativeFloat, Field(le=1)] = 0.01
     hidden: tuple[PositiveInt, ...] = (256, 256)
+    actor_average: NonNegativeInt = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -35,7 +36,7 @@ def run_and_stop(training: Training, env: Any, *, step: int, evaluating: bool = 
 
 
 KILLED_RUN = """
-import os, signal, sys
+import json, os, signal, sys
 from pathlib import Path
 from fishrl.training import Training, complete, open_run, opening
 from tests.training.conftest import QUICK, make_toy_plan
@@ -48,14 +49,15 @@ def step_or_end(self, td):
         os.kill(os.getpid(), signal.SIGKILL)
     return step(self, td)
 ToyFishEnv._step = step_or_end
-complete(Training(open_run(make_toy_plan(Path(sys.argv[1]), name="run", **QUICK))))
+settings = QUICK | json.loads(sys.argv[3])
+complete(Training(open_run(make_toy_plan(Path(sys.argv[1]), name="run", **settings))))
 """
 
 
-def run_and_kill(folder: Path, *, step: int) -> None:
+def run_and_kill(folder: Path, *, step: int, **settings: Any) -> None:
     """Run a training in another process, which is killed in one of its steps."""
     done = subprocess.run(
-        [sys.executable, "-c", KILLED_RUN, str(folder), str(step)],
+        [sys.executable, "-c", KILLED_RUN, str(folder), str(step), json.dumps(settings)],
         cwd=Path(__file__).parents[2],
         env={**os.environ, "OMP_NUM_THREADS": "1"},
         check=False,

@@ -146,6 +146,7 @@ def test_every_algorithm_resumes_exactly(
         "batch_size": 18 if isinstance(algorithm, PPO) else 64,
         "buffer_size": 130,  # the oldest are forgotten on the way
         "eval_frames": 80,  # all choose the best among the same
+        "actor_average": 100,
         **QUICK,
     }
     whole = toy.begin(name="whole", **settings)

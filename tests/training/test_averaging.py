@@ -1,0 +1,71 @@
+"""The average of the weights acts, is saved and loaded; the newest weights explore."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import torch
+from torch import nn
+
+from fishrl.training import Algorithm, DiscreteSAC, load_policy
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.drqn import DRQN
+from fishrl.training.algorithms.ppo import PPO
+from fishrl.training.algorithms.sac import SAC
+from fishrl.training.averaging import WeightAverage
+from tests.training.conftest import QUICK, Toy
+from tests.training.stops import run_and_kill
+
+
+def test_average_is_a_mean_at_first_and_exponential_later() -> None:
+    policy = nn.Linear(1, 1, bias=False)
+    average = WeightAverage(policy, horizon=4.0)  # type: ignore[arg-type]
+    for weight in (1.0, 2.0, 6.0, 7.0):
+        nn.init.constant_(policy.weight, weight)
+        average.step()
+    assert average.policy.weight.item() == pytest.approx(4.0)
+    nn.init.constant_(policy.weight, 8.0)
+    average.step()
+    assert average.policy.weight.item() == pytest.approx(4.0 + (8.0 - 4.0) / 4.0)
+
+
+ALGORITHMS = [DiscreteSAC(), SAC(), DQN(), DRQN(), PPO(rollout_length=8)]
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda a: type(a).__name__)
+def test_policy_is_the_mean_of_those_after_each_gradient_step(
+    toy: Toy, algorithm: Algorithm
+) -> None:
+    task = {"is_continuous": algorithm.takes_continuous and not algorithm.takes_discrete}
+    learner = toy.begin(algorithm=algorithm, task=task, actor_average=10_000).learner
+    batches = iter(toy.trainings[-1].collector)
+    for _ in range(8):
+        learner.store(next(batches).reshape(-1))
+    seen: list[dict[str, torch.Tensor]] = []
+    for _ in range(6):  # some are traced
+        learner.update()
+        weights = dict(learner.explorer.named_parameters())
+        seen.append(copy.deepcopy({name: weights[name].detach() for name in weights}))
+    mean = {name: torch.stack([each[name] for each in seen]).mean(0) for name in seen[0]}
+    averaged = list(learner.actor.parameters())
+    assert len(averaged) == len(mean)
+    for value, expected in zip(averaged, mean.values(), strict=True):
+        torch.testing.assert_close(value, expected)
+        assert not value.requires_grad
+
+
+def test_averaged_policy_is_loaded_and_the_run_resumes_exactly_after_sigkill(toy: Toy) -> None:
+    settings = {"actor_average": 60, **QUICK}
+    whole = toy.begin(name="whole", **settings)
+    whole.run()
+    run_and_kill(toy.folder, step=23, actor_average=60)
+    resumed = toy.reopen("run")
+    assert resumed.counters.frames == 160
+    resumed.run()
+    assert toy.rows("run") == toy.rows("whole")
+    loaded = load_policy(toy.folder / "run").state_dict()
+    best, newest = whole.learner.actor.state_dict(), whole.learner.explorer.state_dict()
+    for name, value in loaded.items():
+        assert torch.equal(value, best[name])
+        assert not torch.equal(value, newest[name])
