@@ -11,6 +11,7 @@ from fishrl.envs.flows import Flows
 from fishrl.envs.making import make_env
 from fishrl.envs.one_hot import OneHotAction
 from fishrl.envs.recognition import Oracle, Recognition
+from fishrl.envs.sense import Sense
 from fishrl.envs.task import AbstractTask, Command
 from fishrl.envs.tasks import Follower, KarmanGait, Predation, PredationPair
 from fishrl.envs.transforms import PredictedFlowLabel, TrueFlowLabel
@@ -31,6 +32,7 @@ __all__ = [
     "PredationPair",
     "PredictedFlowLabel",
     "Recognition",
+    "Sense",
     "TrueFlowLabel",
     "make_env",
     "run_episodes",

@@ -8,6 +8,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.agents import shape_fish
+from fishrl.envs.sense import count_numbers, read_senses
 from fishrl.envs.task import AbstractTask, Command
 from fishrl.physics.bodies.motion import Bending
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
@@ -35,6 +36,9 @@ def check_answers(task: AbstractTask, now: TensorDictBase) -> dict[str, Tensor]:
     observed = check_rows(task, "observe", task.observe(now), (*own, task.n_obs), torch.float32)
     is_finite = bool(observed.isfinite().all())
     _require(task, "observe", is_finite, observed.tolist(), "finite numbers")
+    if senses := task.critic_senses:
+        shape = (*own, count_numbers(senses))
+        check_rows(task, "critic_senses", read_senses(senses, now), shape)
     bounds, shape = task.action_bounds, (*own, task.num_actions)
     if bounds is None:
         mask = check_rows(task, "action_mask", task.action_mask(now), shape, torch.bool)

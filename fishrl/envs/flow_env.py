@@ -36,6 +36,7 @@ from fishrl.envs.draws import draw_uniform
 from fishrl.envs.extensions import HasHistory, find_extension
 from fishrl.envs.flows import Flows
 from fishrl.envs.schedule import make_schedule
+from fishrl.envs.sense import read_senses
 from fishrl.envs.specs import make_specs
 from fishrl.envs.task import AbstractTask
 from fishrl.physics.fast.checks import check_device
@@ -312,6 +313,8 @@ class FlowEnv(EnvBase):
     def _write(self, terms: Mapping[str, Tensor], **flags: Tensor) -> TensorDict:
         """Return observation, mask, terms of the reward, reported entries and flags, as columns."""
         own = {"observation": self.task.observe(self.now)}
+        if senses := self.task.critic_senses:
+            own["critic_observation"] = read_senses(senses, self.now)
         own |= {TERM + name: term.float().unsqueeze(-1) for name, term in terms.items()}
         if self.task.action_bounds is None:
             own["action_mask"] = self.task.action_mask(self.now).clone()

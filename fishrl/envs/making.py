@@ -49,10 +49,10 @@ def make_env(
     """Return a ``FlowEnv`` with the transforms that policies need; see ``FlowEnv`` for arguments.
 
     Adds ``observation_stack`` ``[B, num_stacked * n_obs]`` (oldest first, filled with the first
-    observation at reset), ``is_init``, ``step_count`` and ``episode_reward``. Episodes are
-    truncated after ``task.time_limit`` decisions. Random discrete actions respect the action mask;
-    continuous actions have none. With several fish per flow, stacks, masks and ``episode_reward``
-    are per fish, under ``agents``.
+    observation at reset), ``is_init``, ``step_count`` and ``episode_reward``, and for a task with
+    ``critic_senses`` a ``critic_stack`` of these. Episodes are truncated after ``task.time_limit``
+    decisions. Random discrete actions respect the action mask; continuous actions have none. With
+    several fish per flow, stacks, masks and ``episode_reward`` are per fish, under ``agents``.
 
     ``recognition`` is the source of flow labels, such as ``Oracle()``. Further ``transforms`` are
     inserted before the frame stack and may lengthen ``observation``.
@@ -64,9 +64,19 @@ def make_env(
         raise ValueError(f"task = {task!r}: must be an instance of a task, such as Predation()")
     if recognition is not None:
         task = recognition.check(task)
-    observed, stacked, action, mask = (
+    observed, stacked, seen, seen_stacked, action, mask = (
         name_entry(task, name)
-        for name in ("observation", "observation_stack", "action", "action_mask")
+        for name in (
+            "observation",
+            "observation_stack",
+            "critic_observation",
+            "critic_stack",
+            "action",
+            "action_mask",
+        )
+    )
+    of_critics = CatFrames(
+        N=task.critic_num_stacked, dim=-1, in_keys=[seen], out_keys=[seen_stacked]
     )
     env = StableEnv(
         FlowEnv(
@@ -85,6 +95,7 @@ def make_env(
         *(recognition.transforms(task) if recognition is not None else ()),
         *transforms,
         CatFrames(N=task.num_stacked, dim=-1, in_keys=[observed], out_keys=[stacked]),
+        *([of_critics] if task.critic_senses else []),
         *([ActionMask(action, mask)] if task.action_bounds is None else []),
     ):
         env.append_transform(transform)

@@ -8,8 +8,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.lateral_line import LateralLine
+from fishrl.envs.sense import Sense
 from fishrl.envs.sensors import wrap_angle
-from fishrl.envs.task import Sense
 from fishrl.physics.bodies.state import BodyState
 
 SenseName = Literal[

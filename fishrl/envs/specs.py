@@ -5,6 +5,7 @@ from tensordict import TensorDictBase
 from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
 
 from fishrl.envs.agents import AGENTS, TERM
+from fishrl.envs.sense import count_numbers
 from fishrl.envs.task import AbstractTask
 
 
@@ -21,6 +22,8 @@ def make_specs(task: AbstractTask, now: TensorDictBase) -> tuple[Composite, Comp
         for shape in [tuple(value.shape[1:]) or (1,)]
     }
     own: dict[str, TensorSpec] = {"observation": Unbounded((task.n_obs,))}
+    if senses := task.critic_senses:
+        own["critic_observation"] = Unbounded((count_numbers(senses),))
     own |= {TERM + name: Unbounded((1,)) for name in task.reward(now, now)}
     action: TensorSpec = Bounded(-1.0, 1.0, shape=(task.num_actions,))
     if task.action_bounds is None:

@@ -11,7 +11,7 @@ in an underscore for what changes its object in place.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from itertools import pairwise
 from math import ceil
@@ -25,6 +25,7 @@ from torch import Tensor
 
 from fishrl.envs.extensions import HasHistory, find_extension
 from fishrl.envs.schedule import make_schedule
+from fishrl.envs.sense import Sense, count_numbers, read_senses
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending
@@ -33,7 +34,7 @@ from fishrl.physics.flow import FlowConfig
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 from fishrl.physics.skins import BounceBack, Skin
 from fishrl.physics.units import DEFAULT_WALL_SPEED, Scales
-from fishrl.settings import Settings
+from fishrl.settings import Settings, suggest
 
 _Size = Annotated[float, Field(gt=0, le=1e6)]
 
@@ -54,14 +55,6 @@ class Command(NamedTuple):
     kept: Mapping[str, Tensor] = MappingProxyType({})
 
 
-class Sense(NamedTuple):
-    """A part of the observation."""
-
-    name: str  #: such as "place of the food"
-    numbers: tuple[str, ...]  #: name and unit of each of its numbers, such as "x [L]"
-    read: Callable[[TensorDictBase], Tensor]  #: returns them, ``[B, n]``, from a measurement
-
-
 class AbstractTask(Settings, ABC):
     """Base of all tasks: a fish in a tank of still water with one decision per control interval.
 
@@ -80,6 +73,11 @@ class AbstractTask(Settings, ABC):
         time_limit: decisions after which an episode is truncated.
         control_interval_T: time between decisions, in periods T.
         checks_per_action: checks for termination within one action.
+        critic_observes: what critics read in training, besides the stack of the policy: names of
+            ``known_senses``. Policies run without.
+        critic_num_stacked: stacked observations of ``critic_observes``.
+        critic_reads_stack: whether critics read the stack of the policy, too; without its history
+            they are biased (Baisero & Amato 2022, arXiv 2105.11674).
     """
 
     former: ClassVar[Mapping[str, str]] = {
@@ -96,8 +94,18 @@ class AbstractTask(Settings, ABC):
     time_limit: PositiveInt = 30
     control_interval_T: Annotated[float, Field(gt=0, le=10)] = 1.0
     checks_per_action: PositiveInt = 25
+    critic_observes: tuple[str, ...] = ()
+    critic_num_stacked: Annotated[int, Field(ge=1, le=10_000)] = 4
+    critic_reads_stack: bool = True
 
     def __post_init__(self) -> None:
+        unknown = [name for name in self.critic_observes if name not in self.known_senses]
+        if unknown:
+            known = ", ".join(self.known_senses)
+            raise ValueError(
+                f"critic_observes = {self.critic_observes}: allowed are {known}"
+                f"{suggest(unknown[0], list(self.known_senses))}"
+            )
         num_samples = find_extension(self, HasHistory).num_samples
         stops = make_schedule(self.n_substeps, checks=self.checks_per_action, samples=num_samples)
         self.flow_config()  # raises if the domain is too small for the fish
@@ -128,9 +136,19 @@ class AbstractTask(Settings, ABC):
         return ()
 
     @property
+    def known_senses(self) -> Mapping[str, Sense]:
+        """Senses that ``critic_observes`` may name; by default those of the policy."""
+        return {sense.name.replace(" ", "_"): sense for sense in self.senses}
+
+    @property
+    def critic_senses(self) -> tuple[Sense, ...]:
+        """What critics read in training and policies do not; by default ``critic_observes``."""
+        return tuple(self.known_senses[name] for name in self.critic_observes)
+
+    @property
     def n_obs(self) -> int:
         """Length of one observation."""
-        return sum(len(sense.numbers) for sense in self.senses)
+        return count_numbers(self.senses)
 
     @property
     @abstractmethod
@@ -302,7 +320,7 @@ class AbstractTask(Settings, ABC):
 
     def observe(self, now: TensorDictBase) -> Tensor:
         """Return the observation ``[B, n_obs]``, float32."""
-        return torch.cat([sense.read(now).float() for sense in self.senses], -1)
+        return read_senses(self.senses, now)
 
     @abstractmethod
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> dict[str, Tensor]:

@@ -73,22 +73,38 @@ def make_actor(
     )
 
 
+class _JoinedInputs(nn.Sequential):
+    """A network that concatenates its inputs ``[..., n_i]``."""
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        joined: Tensor = super().forward(torch.cat(inputs, -1))  # type: ignore[no-untyped-call]
+        return joined
+
+
+def _read(keys: Sequence[str], network: nn.Module, written: str) -> TensorDictModule:
+    """Return a network of one entry, or of several concatenated ones."""
+    network = network if len(keys) == 1 else _JoinedInputs(network)
+    return TensorDictModule(network, in_keys=list(keys), out_keys=[written])
+
+
 def make_twin_critics(
     *,
     num_inputs: int,
     num_actions: int,
     hidden: Sequence[int] = (256, 256),
+    keys: Sequence[str] = ("observation_stack",),
     generator: torch.Generator | None = None,
 ) -> list[TensorDictModule]:
-    """Build two independent critics; arguments are those of ``make_actor``.
+    """Build two independent critics.
 
-    Each reads ``observation_stack`` and writes ``action_value`` ``[..., num_actions]``, also of
-    illegal actions, to which the policy gives probability 0. The result is a list because TorchRL's
-    loss resamples the weights of a single critic that it duplicates.
+    Each reads ``keys``, with ``num_inputs`` numbers in all, and writes ``action_value``
+    ``[..., num_actions]``, also of illegal actions, to which the policy gives probability 0. Other
+    arguments are those of ``make_actor``. The result is a list because TorchRL's loss resamples the
+    weights of a single critic that it duplicates.
     """
-    widths, keys = [num_inputs, *hidden, num_actions], ["observation_stack"]
+    widths = [num_inputs, *hidden, num_actions]
     networks = (make_mlp(widths, generator=generator) for _ in range(2))
-    return [TensorDictModule(net, in_keys=keys, out_keys=["action_value"]) for net in networks]
+    return [_read(keys, network, "action_value") for network in networks]
 
 
 def make_continuous_actor(
@@ -122,41 +138,31 @@ def make_continuous_actor(
     )
 
 
-class _JoinedInputs(nn.Sequential):
-    """A network that concatenates its inputs ``[..., n_i]``."""
-
-    def forward(self, *inputs: Tensor) -> Tensor:
-        joined: Tensor = super().forward(torch.cat(inputs, -1))  # type: ignore[no-untyped-call]
-        return joined
-
-
 def make_twin_action_critics(
     *,
     num_inputs: int,
     num_actions: int,
     hidden: Sequence[int] = (256, 256),
+    keys: Sequence[str] = ("observation_stack",),
     generator: torch.Generator | None = None,
 ) -> list[TensorDictModule]:
     """Build two independent critics of continuous actions, see ``make_twin_critics``.
 
-    Each reads ``observation_stack`` and ``action``, and writes ``state_action_value`` ``[..., 1]``.
+    Each reads ``keys`` and ``action``, and writes ``state_action_value`` ``[..., 1]``.
     Layer normalisation bounds the values of actions outside the data, which otherwise diverge with
     several gradient steps per transition (Ball et al. 2023, arXiv 2302.02948).
     """
-    widths, keys = [num_inputs + num_actions, *hidden, 1], ["observation_stack", "action"]
+    widths = [num_inputs + num_actions, *hidden, 1]
     networks = (make_mlp(widths, is_normed=True, generator=generator) for _ in range(2))
-    return [
-        TensorDictModule(_JoinedInputs(net), in_keys=keys, out_keys=["state_action_value"])
-        for net in networks
-    ]
+    return [_read([*keys, "action"], network, "state_action_value") for network in networks]
 
 
 def make_state_critic(
-    *, num_inputs: int, hidden: Sequence[int] = (256, 256), generator: torch.Generator | None = None
+    *,
+    num_inputs: int,
+    hidden: Sequence[int] = (256, 256),
+    keys: Sequence[str] = ("observation_stack",),
+    generator: torch.Generator | None = None,
 ) -> TensorDictModule:
-    """Build a critic that reads ``observation_stack`` and writes ``state_value`` ``[..., 1]``."""
-    return TensorDictModule(
-        make_mlp([num_inputs, *hidden, 1], generator=generator),
-        in_keys=["observation_stack"],
-        out_keys=["state_value"],
-    )
+    """Build a critic that reads ``keys`` and writes ``state_value`` ``[..., 1]``."""
+    return _read(keys, make_mlp([num_inputs, *hidden, 1], generator=generator), "state_value")

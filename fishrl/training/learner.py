@@ -3,6 +3,7 @@
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import torch
@@ -14,7 +15,9 @@ from torchrl.data.replay_buffers.samplers import Sampler
 from torchrl.envs import Transform
 from torchrl.objectives import LossModule, SoftUpdate
 
+from fishrl.envs.agents import EachFish
 from fishrl.training.averaging import WeightAverage
+from fishrl.training.scaling import InputScale, ScaledPolicy
 from fishrl.training.settings import LearningSettings
 from fishrl.training.tracing import Traced
 
@@ -33,6 +36,8 @@ class Networks(NamedTuple):
     sampler: Sampler | None = None  #: draws batches from the buffer; by default uniformly
     #: entries of a transition to store in addition to those that the loss reads
     keys: Sequence[Any] = ()
+    #: entries of observations, see ``PolicySpec.stacks``
+    stacks: Mapping[str, tuple[int, int]] = MappingProxyType({})
     is_traced: bool = False  #: see ``Algorithm``
     num_fish: int = 1  #: fish in a flow; the buffer holds the decisions of each
 
@@ -50,11 +55,6 @@ class Learner(ABC):
 
     def __init__(self, networks: Networks, settings: LearningSettings) -> None:
         self.actor, self.explorer, self.loss = networks.actor, networks.explorer, networks.loss
-        self._average: WeightAverage | None = None
-        if settings.actor_average:
-            per_frame = settings.updates_per_frame * networks.num_fish
-            self._average = WeightAverage(self.actor, horizon=settings.actor_average * per_frame)
-            self.actor = self._average.policy
         self.transforms, self._is_traced = networks.transforms, networks.is_traced
         self.reports = tuple(self.loss.out_keys)
         self._keys = list(dict.fromkeys([*self.loss.in_keys, *networks.keys]))
@@ -63,13 +63,26 @@ class Learner(ABC):
                 f"{type(self.loss).__name__} has the outputs {list(self.reports)}: the sum of "
                 "those named loss_... is minimised; rename one in a subclass, as MaskedDQNLoss does"
             )
+        device = next(self.actor.parameters()).device
+        self._scale: InputScale | None = None
+        if settings.scale_inputs:
+            stacks = {key: networks.stacks[key] for key in self._keys if key in networks.stacks}
+            self._scale = InputScale(stacks).to(device)
+            self.explorer = ScaledPolicy(self.explorer, self._scale)
+        self._unmeasured = self._scale
+        if networks.num_fish > 1:
+            self.explorer = EachFish(self.explorer, self.explorer.out_keys)
+        self._average: WeightAverage | None = None
+        if settings.actor_average or self._scale is not None:
+            horizon = settings.actor_average * settings.updates_per_frame * networks.num_fish
+            self._average = WeightAverage(self.actor, horizon=horizon, scale=self._scale)
+            self.actor = self._average.policy
         self.optimiser = torch.optim.Adam(
             self.loss.parameters(), lr=settings.learning_rate, fused=True
         )
         self._renew_step()
         # A checkpoint replaces the tensors of the optimiser, which a traced step has kept.
         self.optimiser.register_load_state_dict_post_hook(self._renew_step)
-        device = next(self.actor.parameters()).device
         self.buffer = TensorDictReplayBuffer(
             storage=_ZeroedStorage(settings.buffer_size * networks.num_fish, device=device),
             sampler=networks.sampler,
@@ -107,10 +120,12 @@ class Learner(ABC):
 
     def update(self) -> dict[str, Tensor]:
         """Take one gradient step and return all outputs of the loss by name."""
+        if self._unmeasured is not None:
+            self._measure(self.buffer[:])
         return dict(zip(self.reports, self._step(self.buffer.sample()), strict=True))
 
     def _take_step(self, batch: TensorDictBase) -> list[Tensor]:
-        losses = self.loss(batch)
+        losses = self.loss(self._read(batch))
         self.optimiser.zero_grad()
         sum(loss for name, loss in losses.items() if name.startswith("loss_")).backward()
         self.optimiser.step()
@@ -118,14 +133,25 @@ class Learner(ABC):
             self._average.step()
         return [losses[name].detach() for name in self.reports]
 
+    def _read(self, transitions: TensorDictBase) -> TensorDictBase:
+        """Return transitions as networks read them."""
+        return transitions if self._scale is None else self._scale(transitions)
+
+    def _measure(self, data: TensorDictBase) -> None:
+        """Measure the scale of inputs, unless a checkpoint has brought it."""
+        if self._unmeasured is not None and not self._unmeasured.is_measured:
+            self._unmeasured.measure_(data)
+        self._unmeasured = None  # a GPU is not asked again
+
     def _renew_step(self, *_: Any) -> None:
         self._step = Traced(self._take_step) if self._is_traced else self._take_step
 
     def components(self) -> dict[str, Any]:
         """Return the components of a checkpoint by name."""
         names = ("actor", "loss", "optimiser", "buffer")
-        average = {} if self._average is None else {"average": self._average}
-        return {name: getattr(self, name) for name in names} | average
+        optional = {"average": self._average, "scale": self._scale}
+        used = {name: part for name, part in optional.items() if part is not None}
+        return {name: getattr(self, name) for name in names} | used
 
 
 class OffPolicyLearner(Learner):
@@ -175,12 +201,16 @@ class OnPolicyLearner(Learner):
         self._decisions.append(decision.clone())  # a collector reuses its memory
         if len(self._decisions) < self._length:
             return
-        rollout = torch.stack(self._decisions, 1).contiguous()
+        rollout: Any = torch.stack(self._decisions, 1).contiguous()
         self._decisions = []
         loss: Any = self.loss
         weights, targets = loss.critic_network_params, loss.target_critic_network_params
+        if self._unmeasured is not None:
+            self._measure(rollout)
+        valued = self._read(rollout)
         with torch.no_grad():  # a diverged row bootstraps from its last state, as if truncated
-            loss.value_estimator(rollout, params=weights, target_params=targets)
+            loss.value_estimator(valued, params=weights, target_params=targets)
+        rollout.update(valued.select("advantage", "value_target"))
         self.buffer.empty()
         self._extend(rollout.reshape(-1))
 

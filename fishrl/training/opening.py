@@ -81,7 +81,8 @@ class Opened:
             _check_cluster(plan)
         check_device(plan.flows.device)
         check_device(plan.policy_device)
-        transition = 2 * (self.spec.num_inputs + self.spec.num_actions)
+        spec = self.spec
+        transition = 2 * (spec.num_inputs + spec.num_critic_inputs + spec.num_actions)
         needed: dict[str, dict[str, float]] = {plan.flows.device: {}, plan.policy_device: {}}
         needed[plan.flows.device]["flows"] = self.task.flow_config().num_bytes * plan.flows.num_envs
         needed[plan.policy_device] |= {

@@ -7,6 +7,7 @@ from typing import Any
 
 from fishrl.envs import AbstractTask
 from fishrl.envs.extensions import HasFlowLabels, find_extension
+from fishrl.envs.sense import count_numbers
 
 #: Entries that a checkpoint stores and that must match.
 CHECKED = ("task", "is_continuous", "num_inputs", "num_stacked", "num_actions")
@@ -23,11 +24,36 @@ class PolicySpec:
     is_continuous: bool = False  #: whether actions are continuous
     num_fish: int = 1  #: fish in a flow for each of which it decides
     hidden: tuple[int, ...] = (256, 256)  #: widths of the hidden layers of all networks
+    num_critic_inputs: int = 0  #: length of the stack that only critics read
+    critic_num_stacked: int = 1  #: observations in it
+    critic_reads_stack: bool = True  #: whether critics read the stacked observation, too
 
     @property
     def sizes(self) -> dict[str, Any]:
         """Arguments of the networks."""
         return {name: getattr(self, name) for name in ("num_inputs", "num_actions", "hidden")}
+
+    @property
+    def critic_keys(self) -> tuple[str, ...]:
+        """Entries that critics read."""
+        own = ("critic_stack",) if self.num_critic_inputs else ()
+        return ("observation_stack",) * (self.critic_reads_stack or not own) + own
+
+    @property
+    def critic_sizes(self) -> dict[str, Any]:
+        """Arguments of critics."""
+        keys = self.critic_keys
+        lengths = {"observation_stack": self.num_inputs, "critic_stack": self.num_critic_inputs}
+        return self.sizes | {"num_inputs": sum(lengths[key] for key in keys), "keys": keys}
+
+    @property
+    def stacks(self) -> dict[str, tuple[int, int]]:
+        """Entries of observations: their lengths, and how many observations are stacked."""
+        return {
+            "observation": (self.num_observed, 1),
+            "observation_stack": (self.num_inputs, self.num_stacked),
+            "critic_stack": (self.num_critic_inputs, self.critic_num_stacked),
+        }
 
     @property
     def num_observed(self) -> int:
@@ -48,6 +74,9 @@ class PolicySpec:
             is_continuous=task.action_bounds is not None,
             num_fish=task.num_fish,
             hidden=hidden,
+            critic_num_stacked=task.critic_num_stacked,
+            num_critic_inputs=task.critic_num_stacked * count_numbers(task.critic_senses),
+            critic_reads_stack=task.critic_reads_stack,
         )
 
     def check(self, metadata: Mapping[str, Any], *, path: Path) -> None:

@@ -28,6 +28,9 @@ class LearningSettings(Settings):
         hidden: widths of the hidden layers of every network.
         actor_average: env frames over which the weights of the policy are averaged. The average is
             evaluated, selected and saved; the newest weights explore. 0: no average.
+        scale_inputs: whether networks read each number observed as its deviation from the mean, in
+            standard deviations, both measured in the warm-up; of PPO in the first rollout. Saved
+            policies read observations: the scale is folded into their first layer.
     """
 
     seed: Annotated[NonNegativeInt, Field(lt=2**32)] = 0
@@ -42,6 +45,7 @@ class LearningSettings(Settings):
     tau: Annotated[NonNegativeFloat, Field(le=1)] = 0.01
     hidden: tuple[PositiveInt, ...] = (256, 256)
     actor_average: NonNegativeInt = 0
+    scale_inputs: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

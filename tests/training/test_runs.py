@@ -90,6 +90,22 @@ def test_run_resumed_after_sigkill_equals_an_uninterrupted_run(toy: Toy, whole: 
     assert_equal_weights(resumed, whole)
 
 
+def test_run_with_all_that_changes_learning_resumes_exactly_after_sigkill(toy: Toy) -> None:
+    settings: dict[str, Any] = {
+        "actor_average": 60,
+        "scale_inputs": True,
+        "task": {"critic_observes": ("heading",)},
+    }
+    whole = toy.begin(name="whole", **settings, **QUICK)
+    whole.run()
+    run_and_kill(toy.folder, step=23, **settings)
+    resumed = toy.reopen("run")
+    assert resumed.counters.frames == 160
+    resumed.run()
+    assert toy.rows("run") == toy.rows("whole")
+    assert_equal_weights(resumed, whole)
+
+
 class Counts(Callback):
     """Where each progress bar ends."""
 
@@ -147,6 +163,7 @@ def test_every_algorithm_resumes_exactly(
         "buffer_size": 130,  # the oldest are forgotten on the way
         "eval_frames": 80,  # all choose the best among the same
         "actor_average": 100,
+        "scale_inputs": True,
         **QUICK,
     }
     whole = toy.begin(name="whole", **settings)

@@ -29,6 +29,7 @@ from torchrl.envs import (
 
 from fishrl.envs import AbstractTask, Flows, Predation, make_env
 from fishrl.envs.control import Turn
+from fishrl.envs.sense import Sense
 from fishrl.modules.controllers import LEAD_T
 from fishrl.physics import BounceBack, Skin
 
@@ -43,6 +44,7 @@ class ToyPredation:
     n_obs, num_stacked, n_substeps, checks_per_action = 4, 4, 10, 1
     interval_T, success, control = 1.0, "captured", Turn()
     num_fish, body_length, bends = 1, 10, False
+    critic_num_stacked = 2
     scales = SimpleNamespace(period=10, body_length=10)
 
     time_limit: int = 30
@@ -51,6 +53,8 @@ class ToyPredation:
     divergence_rate: float = 0.0
     banned_action: int = -1
     is_continuous: bool = False
+    critic_observes: tuple[str, ...] = ()
+    critic_reads_stack: bool = True
     skin: Skin = BounceBack()  # noqa: RUF009 - frozen
 
     @property
@@ -60,6 +64,11 @@ class ToyPredation:
     @property
     def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
         return ((-15.0, 15.0), (0.5, 1.0)) if self.is_continuous else None
+
+    @property
+    def critic_senses(self) -> tuple[Sense, ...]:
+        both = ("sine of the heading", "cosine of the heading")
+        return tuple(Sense(name, both, lambda now: now["heading"]) for name in self.critic_observes)
 
     def flow_config(self) -> SimpleNamespace:
         return SimpleNamespace(width=100, height=50, num_bytes=0)
@@ -89,6 +98,7 @@ class ToyFishEnv(EnvBase):
         self.observation_spec_unbatched = Composite(
             observation=Unbounded((4,)),
             **masked,
+            **({"critic_observation": Unbounded((2,))} if task.critic_senses else {}),
             diverged=flag,
             captured=flag.clone(),
             food_ahead=Unbounded((160, 2)),
@@ -137,8 +147,10 @@ class ToyFishEnv(EnvBase):
         ahead = torch.stack(
             (torch.full_like(along, 2.5), 1.5 + torch.minimum(along, 4.0 - along)), -1
         )
+        heading = torch.stack((self.heading.sin(), self.heading.cos()), -1)
         return {
             "observation": observation,
+            **({"critic_observation": heading} if self.task.critic_senses else {}),
             **({} if self.task.is_continuous else {"action_mask": mask}),
             "start_index": self.start_index.clone(),
             "food_ahead": ahead,
@@ -220,6 +232,11 @@ def make_toy_env(
         RewardSum(),
         CatFrames(
             N=task.num_stacked, dim=-1, in_keys=["observation"], out_keys=["observation_stack"]
+        ),
+        *(
+            [CatFrames(N=2, dim=-1, in_keys=["critic_observation"], out_keys=["critic_stack"])]
+            if task.critic_senses
+            else []
         ),
         *([] if task.is_continuous else [ActionMask()]),
     ):

@@ -15,10 +15,11 @@ from fishrl.envs.control import AbstractControlTask, Bend, ContinuousFrequency, 
 from fishrl.envs.control.control import Rising
 from fishrl.envs.extensions import HasScene
 from fishrl.envs.scene import Scene
+from fishrl.envs.sense import Sense
 from fishrl.envs.sensors import compute_clearance, compute_gap, wrap_angle
 from fishrl.envs.starts import check_fit, place_fish, place_outline
 from fishrl.envs.streams import AbstractStreamTask, Stream
-from fishrl.envs.task import AbstractTask, Sense
+from fishrl.envs.task import AbstractTask
 from fishrl.physics.bodies.motion import Driven
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig, Sponge

@@ -13,12 +13,13 @@ from fishrl.envs.control import AbstractControlTask
 from fishrl.envs.extensions import HasFlowLabels, HasScene
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.scene import Panel, Scene, Series
+from fishrl.envs.sense import Sense
 from fishrl.envs.senses import DEFAULT_SENSES, SenseName, list_senses, measure_own_motion
 from fishrl.envs.sensors import compute_clearance, wrap_angle
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, Steering
 from fishrl.envs.streams import AbstractStreamTask, Stream
-from fishrl.envs.task import Command, Sense
+from fishrl.envs.task import Command
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
 from fishrl.physics.fast.solver import InPlaceSolver
 
@@ -97,11 +98,15 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
         return len(self.stream.speeds_bl)
 
     @property
+    def known_senses(self) -> dict[str, Sense]:
+        """All senses of a fish in a stream."""
+        return list_senses(self.lateral_line, stream_speed_bl=self.max_stream_speed_bl)
+
+    @property
     def senses(self) -> tuple[Sense, ...]:
         """The senses that ``observes`` names."""
-        known = list_senses(self.lateral_line, stream_speed_bl=self.max_stream_speed_bl)
         shown = [name for name in self.observes if name != "flow_label" or self.reads_flow_class]
-        return tuple(known[name] for name in shown)
+        return tuple(self.known_senses[name] for name in shown)
 
     @property
     def num_label_inputs(self) -> int:

@@ -15,9 +15,10 @@ from fishrl.envs.agents import shape_fish
 from fishrl.envs.control import AbstractControlTask, Control, Turn
 from fishrl.envs.extensions import HasScene
 from fishrl.envs.scene import Marks, Panel, Scene, Series
+from fishrl.envs.sense import Sense
 from fishrl.envs.senses import OWN_SENSES, measure_own_motion
 from fishrl.envs.sensors import TARGET, compute_clearance, sense_target
-from fishrl.envs.task import AbstractTask, Sense
+from fishrl.envs.task import AbstractTask
 from fishrl.envs.tasks.food import AbstractFoodTask
 from fishrl.physics.fast.solver import InPlaceSolver
 

@@ -7,9 +7,9 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.sense import Sense
 from fishrl.envs.sensors import TARGET, compute_gap, sense_target
 from fishrl.envs.starts import place_outline
-from fishrl.envs.task import Sense
 from fishrl.envs.tasks.predation import AbstractPredation
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.placement import MIN_GAP

@@ -12,7 +12,6 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.objectives import LossModule
 
 from fishrl.envs import AbstractTask
-from fishrl.envs.agents import EachFish
 from fishrl.memory import Weightless
 from fishrl.settings import Settings
 from fishrl.training.learner import Learner, Networks, OffPolicyLearner
@@ -30,13 +29,15 @@ class Algorithm(Settings, ABC):
 
     The class attributes ``takes_discrete`` and ``takes_continuous`` say which actions it learns;
     by default only discrete ones. Several fish in a flow are treated as if each had a flow of its
-    own, unless ``takes_several`` is false, which excludes such tasks.
+    own, unless ``takes_several`` is false, which excludes such tasks. ``has_critic`` says that it
+    has critics apart from the policy, which read ``spec.critic_keys``.
     """
 
     is_traced: ClassVar[bool] = False
     takes_discrete: ClassVar[bool] = True
     takes_continuous: ClassVar[bool] = False
     takes_several: ClassVar[bool] = True
+    has_critic: ClassVar[bool] = False
 
     @property
     def label(self) -> str:
@@ -58,6 +59,12 @@ class Algorithm(Settings, ABC):
             raise ValueError(
                 f"algorithm = {type(self).__name__}: does not learn the {kind} of "
                 f"{type(task).__name__} with these settings; take one of {', '.join(fitting)}"
+            )
+        if task.critic_senses and not self.has_critic:
+            names = [name for name, kind in find_algorithms().items() if kind.has_critic]
+            raise ValueError(
+                f"task.critic_observes = {task.critic_observes}: {type(self).__name__} has no "
+                f"critic apart from its policy; take one of {', '.join(names)}, or leave it empty"
             )
 
     def adapt(self, settings: LearningSettings) -> dict[str, Any]:
@@ -101,10 +108,16 @@ class Algorithm(Settings, ABC):
         policy = self.make_policy(spec, generator).to(device)
         loss = self.make_loss(policy, spec, generator)
         explorer = self.make_explorer(policy, spec)
-        if spec.num_fish > 1:
-            explorer = EachFish(explorer, explorer.out_keys)
-        traced, num_fish = self.is_traced, spec.num_fish
-        networks = Networks(policy, explorer, loss, is_traced=traced, num_fish=num_fish)
+        networks = Networks(
+            policy,
+            explorer,
+            loss,
+            # TorchRL's losses do not list it
+            keys=[("next", "critic_stack")] if spec.num_critic_inputs else [],
+            stacks=spec.stacks,
+            is_traced=self.is_traced,
+            num_fish=spec.num_fish,
+        )
         return self.assemble(networks, settings)
 
 

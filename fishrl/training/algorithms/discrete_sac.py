@@ -21,6 +21,7 @@ class DiscreteSAC(Algorithm):
     """
 
     is_traced = True
+    has_critic = True
     label: ClassVar[str] = ""  # names of run folders leave out the default algorithm
 
     alpha_init: Annotated[float, Field(gt=0, le=1e6)] = 1.0
@@ -37,7 +38,7 @@ class DiscreteSAC(Algorithm):
     ) -> MaskedDiscreteSACLoss:
         """Make the loss with twin critics."""
         device = next(policy.parameters()).device
-        critics = make_twin_critics(**spec.sizes, generator=generator)
+        critics = make_twin_critics(**spec.critic_sizes, generator=generator)
         return MaskedDiscreteSACLoss(
             policy,
             [critic.to(device) for critic in critics],

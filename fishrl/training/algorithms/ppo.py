@@ -33,6 +33,7 @@ class PPO(Algorithm):
     """
 
     takes_continuous = True
+    has_critic = True
 
     rollout_length: PositiveInt = 32
     num_epochs: PositiveInt = 10
@@ -67,9 +68,8 @@ class PPO(Algorithm):
         self, policy: ProbabilisticActor, spec: PolicySpec, generator: torch.Generator
     ) -> ClipPPOLoss:
         """Make the loss with a critic of states."""
-        critic = make_state_critic(
-            num_inputs=spec.num_inputs, hidden=spec.hidden, generator=generator
-        )
+        sizes = {name: spec.critic_sizes[name] for name in ("num_inputs", "hidden", "keys")}
+        critic = make_state_critic(**sizes, generator=generator)
         return ClipPPOLoss(
             policy,
             critic.to(next(policy.parameters()).device),

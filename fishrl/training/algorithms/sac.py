@@ -27,6 +27,7 @@ class SAC(Algorithm):
     takes_discrete = False
     takes_continuous = True
     is_traced = True
+    has_critic = True
 
     alpha_init: Annotated[float, Field(gt=0, le=1e6)] = 1.0
     target_entropy: Annotated[float, Field(le=0.69)] = -1.0
@@ -42,7 +43,7 @@ class SAC(Algorithm):
     ) -> SACLoss:
         """Make the loss with twin critics."""
         device = next(policy.parameters()).device
-        critics = make_twin_action_critics(**spec.sizes, generator=generator)
+        critics = make_twin_action_critics(**spec.critic_sizes, generator=generator)
         return SACLoss(
             policy,
             [critic.to(device) for critic in critics],  # a single one would be drawn again

@@ -1,0 +1,26 @@
+"""Senses: the parts of an observation."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+
+class Sense(NamedTuple):
+    """A part of the observation."""
+
+    name: str  #: such as "place of the food"
+    numbers: tuple[str, ...]  #: name and unit of each of its numbers, such as "x [L]"
+    read: Callable[[TensorDictBase], Tensor]  #: returns them, ``[B, n]``, from a measurement
+
+
+def read_senses(senses: Sequence[Sense], now: TensorDictBase) -> Tensor:
+    """Return the numbers of senses ``[B, n]``, float32, from a measurement."""
+    return torch.cat([sense.read(now).float() for sense in senses], -1)
+
+
+def count_numbers(senses: Sequence[Sense]) -> int:
+    """Return how many numbers senses have."""
+    return sum(len(sense.numbers) for sense in senses)

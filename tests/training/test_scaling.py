@@ -1,0 +1,82 @@
+"""Networks learn on inputs of unit scale; saved policies read the observations themselves."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from fishrl.training import Algorithm, DiscreteSAC, load_policy
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.drqn import DRQN
+from fishrl.training.algorithms.ppo import PPO
+from fishrl.training.algorithms.sac import SAC
+from fishrl.training.learner import Learner
+from fishrl.training.scaling import InputScale
+from tests.training.conftest import QUICK, Toy
+
+ALGORITHMS = [DiscreteSAC(), SAC(), DQN(), DRQN(), DRQN(is_double=True), PPO(rollout_length=8)]
+
+
+def learn(toy: Toy, algorithm: Algorithm, **settings: object) -> tuple[Learner, TensorDictBase]:
+    """Return a learner of scaled inputs after six gradient steps, and the newest states."""
+    task = {"is_continuous": algorithm.takes_continuous and not algorithm.takes_discrete}
+    training = toy.begin(algorithm=algorithm, task=task, scale_inputs=True, **settings)
+    batches = iter(training.collector)
+    for _ in range(8):
+        batch = next(batches).reshape(-1)
+        training.learner.store(batch)
+    for _ in range(6):
+        training.learner.update()
+    return training.learner, batch
+
+
+@pytest.mark.parametrize("hidden", [(16,), (16, 16)], ids=["one layer", "two layers"])
+@pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda a: type(a).__name__)
+def test_saved_policy_equals_the_one_that_learns(
+    toy: Toy, algorithm: Algorithm, hidden: tuple[int, ...]
+) -> None:
+    learner, states = learn(toy, algorithm, hidden=hidden)
+    answers = []
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        for policy in (learner.actor, learner.explorer):
+            written = policy(states.clone())
+            answers.append({key: written[key] for key in ("logits", "loc") if key in written})
+            answers[-1]["action"] = written["action"]
+    for key, value in answers[1].items():
+        torch.testing.assert_close(answers[0][key], value, rtol=1e-4, atol=1e-5)  # float32
+
+
+def test_loss_reads_zero_mean_and_unit_deviation(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
+    learner, _ = learn(toy, DQN())
+    seen: list[TensorDictBase] = []
+    monkeypatch.setattr(learner.loss, "forward", lambda batch: seen.append(batch) or {})
+    with pytest.raises(AttributeError):  # there are no losses
+        learner._take_step(learner.buffer[:])
+    raw, (read,) = learner.buffer[:], seen
+    numbers = read["observation_stack"].unflatten(-1, (4, 4)).flatten(0, 1)
+    torch.testing.assert_close(numbers.mean(0), torch.zeros(4), rtol=0.0, atol=1e-5)
+    torch.testing.assert_close(numbers.std(0, correction=0), torch.ones(4))
+    change = raw["next", "observation_stack"] - raw["observation_stack"]
+    scaled = read["next", "observation_stack"] - read["observation_stack"]
+    deviation = raw["observation_stack"].unflatten(-1, (4, 4)).flatten(0, 1).std(0, correction=0)
+    torch.testing.assert_close(scaled, change / deviation.repeat(4), rtol=1e-4, atol=1e-5)
+
+
+def test_constant_numbers_are_only_shifted() -> None:
+    scale = InputScale({"observation_stack": (4, 2)})
+    stack = torch.tensor([[5.0, 1.0, 5.0, 3.0], [5.0, 1.0, 5.0, 3.0]])
+    scale.measure_(TensorDict({"observation_stack": stack}, [2]))
+    scaled = scale(TensorDict({"observation_stack": stack + torch.tensor([2.0, 0, 0, 0])}, [2]))
+    expected = torch.tensor([2.0, -1.0, 0.0, 1.0]).expand(2, -1)
+    torch.testing.assert_close(scaled["observation_stack"], expected)
+
+
+def test_saved_policy_is_a_plain_one(toy: Toy) -> None:
+    training = toy.begin(name="run", scale_inputs=True, total_frames=120, **QUICK)
+    training.run()
+    loaded, plain = load_policy(toy.folder / "run"), DiscreteSAC().make_policy(training.opened.spec)
+    assert loaded.state_dict().keys() == plain.state_dict().keys()
+    for name, value in training.learner.actor.state_dict().items():
+        assert torch.equal(value, loaded.state_dict()[name])
