@@ -14,6 +14,8 @@ class Sense(NamedTuple):
     name: str  #: such as "place of the food"
     numbers: tuple[str, ...]  #: name and unit of each of its numbers, such as "x [L]"
     read: Callable[[TensorDictBase], Tensor]  #: returns them, ``[B, n]``, from a measurement
+    #: its mirror image, see ``mirror.Mirror``: (1, -2) of a place (x, y); None if it has none
+    mirror: tuple[int, ...] | None = None
 
 
 def read_senses(senses: Sequence[Sense], now: TensorDictBase) -> Tensor:

@@ -35,7 +35,9 @@ DEFAULT_SENSES: tuple[SenseName, ...] = (
 
 #: What a fish feels of itself, see ``measure_own_motion``.
 OWN_SENSES = {
-    "heading": Sense("heading", ("from upstream [rad]",), lambda now: now["facing"][:, None]),
+    "heading": Sense(
+        "heading", ("from upstream [rad]",), lambda now: now["facing"][:, None], (-1,)
+    ),
     "own_motion": Sense(
         "own motion",
         (
@@ -46,8 +48,12 @@ OWN_SENSES = {
             "yaw rate, positive to the left [rad/T]",
         ),
         lambda now: now["own_motion"],
+        (-1, -2, -3, 4, -5),  # the mirrored beat is half a period ahead
     ),
 }
+#: Features of a neuromast whose mirror image, at the neuromast opposite, has the other sign: across
+#: the fish, and along the outline, which runs backwards then. The absolute y has none.
+_REVERSED = ("u_y", "left", "shear")
 #: Powers of the speed U of the stream that the lateral line's features are divided by, and units.
 _SCALES = {"t": (0, "T"), "x": (0, "L"), "y": (0, "L"), "shear": (1, "U/L")}
 _SCALES |= dict.fromkeys(("u_x", "u_y", "speed", "ahead", "left", "slip"), (1, "U"))
@@ -82,19 +88,37 @@ def list_senses(line: LateralLine, *, stream_speed_bl: float) -> dict[str, Sense
     ]
     return {
         **OWN_SENSES,
-        "place": Sense("place", ("x [L]", "y [L]"), lambda now: now["place"]),
-        "drift": Sense("drift", ("Δx [L]", "Δy [L]"), lambda now: now["drift"]),
+        "place": Sense("place", ("x [L]", "y [L]"), lambda now: now["place"], (1, -2)),
+        "drift": Sense("drift", ("Δx [L]", "Δy [L]"), lambda now: now["drift"], (1, -2)),
         "tail_beat": Sense(
-            "tail beat", ("frequency [1/T]",), lambda now: now["frequency"][:, None]
+            "tail beat", ("frequency [1/T]",), lambda now: now["frequency"][:, None], (1,)
         ),
         "water_velocity": Sense(
             "velocity at the lateral line",
             ("u_x [L/T]", "u_y [L/T]"),
             lambda now: now["velocity"].mean(1),
+            (1, -2),
         ),
-        "lateral_line": Sense("lateral line", tuple(signals), read_lateral_line),
-        "flow_label": Sense("flow label", (), lambda now: now["place"][:, :0]),
+        "lateral_line": Sense(
+            "lateral line", tuple(signals), read_lateral_line, _mirror_lateral_line(line)
+        ),
+        "flow_label": Sense("flow label", (), lambda now: now["place"][:, :0], ()),
     }
+
+
+def _mirror_lateral_line(line: LateralLine) -> tuple[int, ...] | None:
+    """Return its mirror image: right and left neuromasts change places."""
+    if "y" in line.features:
+        return None
+    num = 1 if line.is_averaged else line.num_neuromasts
+    first = num % 2  # one at the nose, then pairs
+    opposite = [*range(first), *(first + ((p - first) ^ 1) for p in range(first, num))]
+    return tuple(
+        (-1 if name in _REVERSED else 1) * (1 + (part * num + p) * len(line.features) + f)
+        for part in (0, 1)
+        for p in opposite
+        for f, name in enumerate(line.features)
+    )
 
 
 def measure_own_motion(body: BodyState, period: int) -> dict[str, Tensor]:

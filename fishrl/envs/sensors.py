@@ -14,6 +14,8 @@ from fishrl.physics.flow import FlowConfig
 
 #: The numbers of ``sense_target``.
 TARGET = ("x [L]", "y [L]", "distance [L]", "bearing error, positive to the left [rad]")
+#: Their mirror image.
+MIRRORED_TARGET = (1, -2, 3, -4)
 
 
 def wrap_angle(angle: Tensor) -> Tensor:

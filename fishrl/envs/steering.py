@@ -12,7 +12,7 @@ from functools import cached_property
 from itertools import pairwise
 from math import pi, radians
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import torch
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
@@ -30,10 +30,12 @@ class Steering(ABC):
     Attributes:
         num_stacked: S, number of latest observations it reads, the current one included.
         decisions_per_T: the control rate it needs; None if it works at any.
+        has_mirror: whether the mirror image of its turn is its turn in the mirrored flow.
     """
 
     num_stacked: int
     decisions_per_T: int | None = None
+    has_mirror: ClassVar[bool] = False
 
     @abstractmethod
     def observe(self, nose: Tensor, middle: Tensor, heading: Tensor) -> Tensor:
@@ -69,6 +71,8 @@ class PIDSteering(Settings, Steering):
         max_angle_degrees: largest angle between target heading and upstream.
         max_turn_degrees: largest turn in one interval.
     """
+
+    has_mirror = True
 
     num_stacked: Annotated[int, Field(ge=2)] = 32
     gain: NonNegativeFloat = 1.0

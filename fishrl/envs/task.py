@@ -24,6 +24,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.extensions import HasHistory, find_extension
+from fishrl.envs.mirror import Mirror, join_mirrors
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.sense import Sense, count_numbers, read_senses
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
@@ -144,6 +145,24 @@ class AbstractTask(Settings, ABC):
     def critic_senses(self) -> tuple[Sense, ...]:
         """What critics read in training and policies do not; by default ``critic_observes``."""
         return tuple(self.known_senses[name] for name in self.critic_observes)
+
+    @property
+    def mirrored_actions(self) -> tuple[int, ...]:
+        """Mirror images of the actions about the flow's horizontal axis, see ``Mirror``.
+
+        Raises:
+            ValueError: if the mirror image of the task is another task, as by default.
+        """
+        raise ValueError(
+            f"reflect: {type(self).__name__} has no mirror image; give its mirrored_actions and "
+            "Sense(mirror=...) if flow and reward are symmetric, or reflect=false"
+        )
+
+    @property
+    def mirror(self) -> Mirror:
+        """Its mirror image, with which ``reflect`` reflects transitions; errors as above."""
+        actions = self.mirrored_actions
+        return Mirror(join_mirrors(self.senses), join_mirrors(self.critic_senses), actions)
 
     @property
     def n_obs(self) -> int:

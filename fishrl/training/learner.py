@@ -16,7 +16,9 @@ from torchrl.envs import Transform
 from torchrl.objectives import LossModule, SoftUpdate
 
 from fishrl.envs.agents import EachFish
+from fishrl.envs.mirror import Mirror
 from fishrl.training.averaging import WeightAverage
+from fishrl.training.reflection import Reflection
 from fishrl.training.scaling import InputScale, ScaledPolicy
 from fishrl.training.settings import LearningSettings
 from fishrl.training.tracing import Traced
@@ -38,6 +40,7 @@ class Networks(NamedTuple):
     keys: Sequence[Any] = ()
     #: entries of observations, see ``PolicySpec.stacks``
     stacks: Mapping[str, tuple[int, int]] = MappingProxyType({})
+    mirror: Mirror | None = None  #: of the task, if transitions are to be reflected
     is_traced: bool = False  #: see ``Algorithm``
     num_fish: int = 1  #: fish in a flow; the buffer holds the decisions of each
 
@@ -64,14 +67,17 @@ class Learner(ABC):
                 "those named loss_... is minimised; rename one in a subclass, as MaskedDQNLoss does"
             )
         device = next(self.actor.parameters()).device
+        used = {key: networks.stacks[key] for key in self._keys if key in networks.stacks}
         self._scale: InputScale | None = None
         if settings.scale_inputs:
-            stacks = {key: networks.stacks[key] for key in self._keys if key in networks.stacks}
-            self._scale = InputScale(stacks).to(device)
+            self._scale = InputScale(used).to(device)
             self.explorer = ScaledPolicy(self.explorer, self._scale)
         self._unmeasured = self._scale
         if networks.num_fish > 1:
             self.explorer = EachFish(self.explorer, self.explorer.out_keys)
+        self._reflection: Reflection | None = None
+        if networks.mirror is not None:
+            self._reflection = Reflection(networks.mirror, used).to(device)
         self._average: WeightAverage | None = None
         if settings.actor_average or self._scale is not None:
             horizon = settings.actor_average * settings.updates_per_frame * networks.num_fish
@@ -122,7 +128,10 @@ class Learner(ABC):
         """Take one gradient step and return all outputs of the loss by name."""
         if self._unmeasured is not None:
             self._measure(self.buffer[:])
-        return dict(zip(self.reports, self._step(self.buffer.sample()), strict=True))
+        batch = self.buffer.sample()
+        if self._reflection is not None:
+            batch = self._reflection(batch)
+        return dict(zip(self.reports, self._step(batch), strict=True))
 
     def _take_step(self, batch: TensorDictBase) -> list[Tensor]:
         losses = self.loss(self._read(batch))

@@ -46,8 +46,12 @@ class Opened:
     @cached_property
     def spec(self) -> PolicySpec:
         """Sizes of the policy."""
-        has_labels = self.plan.recognition is not None
-        return PolicySpec.for_task(self.task, hidden=self.plan.hidden, has_labels=has_labels)
+        return PolicySpec.for_task(
+            self.task,
+            hidden=self.plan.hidden,
+            has_labels=self.plan.recognition is not None,
+            reflect=self.plan.reflect,
+        )
 
     @cached_property
     def baselines(self) -> tuple[str, ...]:

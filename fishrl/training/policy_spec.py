@@ -7,6 +7,7 @@ from typing import Any
 
 from fishrl.envs import AbstractTask
 from fishrl.envs.extensions import HasFlowLabels, find_extension
+from fishrl.envs.mirror import Mirror
 from fishrl.envs.sense import count_numbers
 
 #: Entries that a checkpoint stores and that must match.
@@ -26,6 +27,7 @@ class PolicySpec:
     hidden: tuple[int, ...] = (256, 256)  #: widths of the hidden layers of all networks
     num_critic_inputs: int = 0  #: length of the stack that only critics read
     critic_num_stacked: int = 1  #: observations in it
+    mirror: Mirror | None = None  #: mirror image of the task, if transitions are reflected
     critic_reads_stack: bool = True  #: whether critics read the stacked observation, too
 
     @property
@@ -62,9 +64,17 @@ class PolicySpec:
 
     @classmethod
     def for_task(
-        cls, task: AbstractTask, *, hidden: tuple[int, ...] = (256, 256), has_labels: bool = False
+        cls,
+        task: AbstractTask,
+        *,
+        hidden: tuple[int, ...] = (256, 256),
+        has_labels: bool = False,
+        reflect: bool = False,
     ) -> "PolicySpec":
-        """Return the sizes that a task requires; with ``has_labels`` transforms label its flows."""
+        """Return the sizes that a task requires; with ``has_labels`` transforms label its flows.
+
+        With ``reflect`` also its mirror image; ValueError if it has none.
+        """
         num_labels = find_extension(task, HasFlowLabels).num_label_inputs if has_labels else 0
         return cls(
             task=type(task).__name__,
@@ -76,6 +86,7 @@ class PolicySpec:
             hidden=hidden,
             critic_num_stacked=task.critic_num_stacked,
             num_critic_inputs=task.critic_num_stacked * count_numbers(task.critic_senses),
+            mirror=task.mirror if reflect else None,
             critic_reads_stack=task.critic_reads_stack,
         )
 

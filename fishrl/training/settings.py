@@ -31,6 +31,8 @@ class LearningSettings(Settings):
         scale_inputs: whether networks read each number observed as its deviation from the mean, in
             standard deviations, both measured in the warm-up; of PPO in the first rollout. Saved
             policies read observations: the scale is folded into their first layer.
+        reflect: whether half of the replayed transitions, drawn at random, are reflected about the
+            axis of the flow; for tasks that have a mirror image.
     """
 
     seed: Annotated[NonNegativeInt, Field(lt=2**32)] = 0
@@ -46,6 +48,7 @@ class LearningSettings(Settings):
     hidden: tuple[PositiveInt, ...] = (256, 256)
     actor_average: NonNegativeInt = 0
     scale_inputs: bool = False
+    reflect: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

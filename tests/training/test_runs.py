@@ -94,6 +94,7 @@ def test_run_with_all_that_changes_learning_resumes_exactly_after_sigkill(toy: T
     settings: dict[str, Any] = {
         "actor_average": 60,
         "scale_inputs": True,
+        "reflect": True,
         "task": {"critic_observes": ("heading",)},
     }
     whole = toy.begin(name="whole", **settings, **QUICK)

@@ -29,6 +29,7 @@ from torchrl.envs import (
 
 from fishrl.envs import AbstractTask, Flows, Predation, make_env
 from fishrl.envs.control import Turn
+from fishrl.envs.mirror import Mirror
 from fishrl.envs.sense import Sense
 from fishrl.modules.controllers import LEAD_T
 from fishrl.physics import BounceBack, Skin
@@ -45,6 +46,7 @@ class ToyPredation:
     interval_T, success, control = 1.0, "captured", Turn()
     num_fish, body_length, bends = 1, 10, False
     critic_num_stacked = 2
+    mirror = Mirror((1, -2, 3, -4), (-1, 2), (2, 1, 0))
     scales = SimpleNamespace(period=10, body_length=10)
 
     time_limit: int = 30

@@ -56,6 +56,21 @@ class Control(Settings, ABC):
         return None
 
     @property
+    def mirrored_actions(self) -> tuple[int, ...]:
+        """Mirror images of the actions, see ``Mirror``; by default each its own.
+
+        Raises:
+            ValueError: if actions steer and their mirror images are not given.
+        """
+        if self.largest_turn or self.largest_bend:
+            raise ValueError(f"reflect: {type(self).__name__} steers; give its mirrored_actions")
+        return (
+            tuple(range(self.num_actions))
+            if self.action_bounds is None
+            else ((1,) * self.num_actions)
+        )
+
+    @property
     def rows(self) -> tuple[tuple[float, ...], ...]:
         """Frequencies by gear, tail beats per T: a row per flow, or one for all flows."""
         return ((1.0,),)

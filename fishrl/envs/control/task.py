@@ -71,6 +71,11 @@ class AbstractControlTask(AbstractTask, HasHistory):
         return self.control.action_bounds
 
     @property
+    def mirrored_actions(self) -> tuple[int, ...]:
+        """Mirror images given by ``control``."""
+        return self.control.mirrored_actions
+
+    @property
     def max_frequency(self) -> float:
         """Highest frequency of ``control``."""
         return self.control.max_frequency

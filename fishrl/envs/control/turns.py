@@ -68,6 +68,14 @@ class _Steered(Control):
         beat, largest = self.beat.action_bounds, self.span[1]
         return None if beat is None else ((-largest, largest), *beat)
 
+    @property
+    def mirrored_actions(self) -> tuple[int, ...]:
+        """The same beat, steered to the other side."""
+        of_beat = self.beat.mirrored_actions
+        if self.action_bounds is not None:
+            return (-1, *of_beat)
+        return tuple(3 * beat + side for beat in of_beat for side in (2, 1, 0))
+
     def mask(self, gear: Tensor) -> Tensor:
         """Return the legal actions of the beat, the same to each side."""
         return self.beat.mask(gear).repeat_interleave(3, -1)

@@ -222,16 +222,25 @@ class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
             return torch.stack((phase.sin(), phase.cos()), -1)
 
         wave = ("sine of the phase", "cosine of the phase")
-        actions = [f"{name} (in [-1, 1])" for name in self.action_names]
+        signs = self.mirrored_actions
+        of_actions = tuple(sign * number for number, sign in enumerate(signs, 1))
+        actions = tuple(f"{name} (in [-1, 1])" for name in self.action_names)
         return (
-            Sense("place", ("x [L]", "y [L]"), lambda now: now["place"]),
-            Sense("heading", ("from upstream [rad]",), lambda now: now["heading"][:, None]),
-            Sense("tail beat", wave, lambda now: read_wave(now["phase"])),
-            Sense("beat relative to the leader", wave, lambda now: read_wave(now["phase_ahead"])),
-            Sense("velocity", ("x [L/T]", "y [L/T]"), lambda now: now["velocity"]),
-            Sense("yaw rate", ("counter-clockwise [rad/T]",), lambda now: now["spin"][:, None]),
-            Sense("action before last", tuple(actions), lambda now: now["actions"][:, 0]),
-            Sense("last action", tuple(actions), lambda now: now["actions"][:, 1]),
+            Sense("place", ("x [L]", "y [L]"), lambda now: now["place"], (1, -2)),
+            Sense("heading", ("from upstream [rad]",), lambda now: now["heading"][:, None], (-1,)),
+            Sense("tail beat", wave, lambda now: read_wave(now["phase"]), (-1, -2)),
+            Sense(
+                "beat relative to the leader",
+                wave,
+                lambda now: read_wave(now["phase_ahead"]),
+                (1, 2) if self.leader == "fish" else (-1, -2),
+            ),
+            Sense("velocity", ("x [L/T]", "y [L/T]"), lambda now: now["velocity"], (1, -2)),
+            Sense(
+                "yaw rate", ("counter-clockwise [rad/T]",), lambda now: now["spin"][:, None], (-1,)
+            ),
+            Sense("action before last", actions, lambda now: now["actions"][:, 0], of_actions),
+            Sense("last action", actions, lambda now: now["actions"][:, 1], of_actions),
         )
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> dict[str, Tensor]:

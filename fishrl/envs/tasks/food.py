@@ -1,7 +1,7 @@
 """Food that rests at first and then moves to and fro, on a path that each episode may draw."""
 
 from functools import cached_property
-from math import radians, sin
+from math import isclose, radians, sin
 from typing import Annotated, Literal
 
 import torch
@@ -94,6 +94,20 @@ class AbstractFoodTask(AbstractTask):
             "food_speed": self.food_speed_bl,
         }
         return {name: _find_ends(value) for name, value in path.items()}
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the mirror image of each path of the food is as probable as the path."""
+        (low, low_to), (high_from, high) = map(_find_ends, self.food_limits_bl)
+        least_tilt, largest_tilt = _find_ends(self.food_tilt_degrees)
+        height = self.domain_bl[1]
+        return (
+            self.food_direction == "random"
+            and isclose(self.food_y_bl, 0.5 * height)
+            and isclose(low + high, height)
+            and isclose(low_to + high_from, height)
+            and isclose(least_tilt, -largest_tilt)
+        )
 
     @property
     def num_draws(self) -> int:

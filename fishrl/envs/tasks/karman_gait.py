@@ -109,6 +109,17 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
         return tuple(self.known_senses[name] for name in shown)
 
     @property
+    def mirrored_actions(self) -> tuple[int, ...]:
+        """Mirror images given by ``control``; ValueError if ``steering`` has none."""
+        steers = self.control.largest_turn or self.control.largest_bend
+        if not (steers or self.steering.has_mirror):
+            raise ValueError(
+                f"reflect: {type(self.steering).__name__} does not turn as its mirror image would; "
+                "take steering=pid, or reflect=false"
+            )
+        return super().mirrored_actions
+
+    @property
     def num_label_inputs(self) -> int:
         """One per flow if labels are observed, or none."""
         return self.num_flows if "flow_label" in self.observes else 0

@@ -17,7 +17,7 @@ from fishrl.envs.extensions import HasScene
 from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.sense import Sense
 from fishrl.envs.senses import OWN_SENSES, measure_own_motion
-from fishrl.envs.sensors import TARGET, compute_clearance, sense_target
+from fishrl.envs.sensors import MIRRORED_TARGET, TARGET, compute_clearance, sense_target
 from fishrl.envs.task import AbstractTask
 from fishrl.envs.tasks.food import AbstractFoodTask
 from fishrl.physics.fast.solver import InPlaceSolver
@@ -219,9 +219,21 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
         return {"food": food, "distance": distance}
 
     @property
+    def mirrored_actions(self) -> tuple[int, ...]:
+        """Mirror images given by ``control``; ValueError unless the food's paths are symmetric."""
+        if not self.is_mirrored:
+            raise ValueError(
+                f"reflect: food_direction = {self.food_direction}, food_y_bl = {self.food_y_bl}, "
+                f"food_limits_bl = {self.food_limits_bl}, food_tilt_degrees = "
+                f"{self.food_tilt_degrees}: the mirrored food takes other paths; take random, and "
+                f"paths symmetric about y = {0.5 * self.domain_bl[1]:g} L, or reflect=false"
+            )
+        return super().mirrored_actions
+
+    @property
     def senses(self) -> tuple[Sense, ...]:
         """The motion of a fish that bends, and the food as seen from the nose."""
-        food = Sense("place of the food", TARGET, lambda now: now["target"])
+        food = Sense("place of the food", TARGET, lambda now: now["target"], MIRRORED_TARGET)
         return (*[OWN_SENSES["own_motion"]] * self.bends, food)
 
     def name_endings(self, now: TensorDictBase) -> dict[str, Tensor]:

@@ -8,7 +8,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.sense import Sense
-from fishrl.envs.sensors import TARGET, compute_gap, sense_target
+from fishrl.envs.sensors import MIRRORED_TARGET, TARGET, compute_gap, sense_target
 from fishrl.envs.starts import place_outline
 from fishrl.envs.tasks.predation import AbstractPredation
 from fishrl.physics.fast.solver import InPlaceSolver
@@ -64,7 +64,7 @@ class PredationPair(AbstractPredation):
     @property
     def senses(self) -> tuple[Sense, ...]:
         """The nose of the other fish, and the senses of ``Predation``."""
-        other = Sense("place of the other fish", TARGET, lambda now: now["other"])
+        other = Sense("place of the other fish", TARGET, lambda now: now["other"], MIRRORED_TARGET)
         return other, *super().senses
 
     @property

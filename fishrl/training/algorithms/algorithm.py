@@ -115,6 +115,7 @@ class Algorithm(Settings, ABC):
             # TorchRL's losses do not list it
             keys=[("next", "critic_stack")] if spec.num_critic_inputs else [],
             stacks=spec.stacks,
+            mirror=spec.mirror,
             is_traced=self.is_traced,
             num_fish=spec.num_fish,
         )

@@ -43,6 +43,8 @@ class DRQN(DQN):
 
     def adapt(self, settings: LearningSettings) -> dict[str, Any]:
         """Check that a batch is a whole number of sequences, and that there is a hidden layer."""
+        if settings.reflect:
+            raise ValueError("reflect: the LSTM states of DRQN have no mirror image; reflect=false")
         if settings.batch_size % self.sequence_length:
             raise ValueError(
                 f"batch_size = {settings.batch_size}: must be a multiple of "

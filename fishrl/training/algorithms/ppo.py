@@ -44,6 +44,8 @@ class PPO(Algorithm):
 
     def adapt(self, settings: LearningSettings) -> dict[str, Any]:
         """Return the settings that give ``num_epochs`` over each rollout."""
+        if settings.reflect:
+            raise ValueError("reflect: PPO learns from its own decisions alone; reflect=false")
         num_frames = settings.flows.num_envs * self.rollout_length
         if num_frames % settings.batch_size:
             raise ValueError(

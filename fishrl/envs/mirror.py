@@ -1,0 +1,42 @@
+"""Mirror images about the horizontal axis of a flow: x stays, y changes its sign."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from fishrl.envs.sense import Sense
+
+
+class Mirror(NamedTuple):
+    """How observation and action of a mirrored fish follow from those of the fish.
+
+    Entries of an observation are signed numbers from 1: number i of the mirrored one is number
+    ``abs(entry i)`` of the other, with the sign of the entry.
+    """
+
+    observation: tuple[int, ...]  #: of one observation
+    critic_observation: tuple[int, ...]  #: of what only critics read
+    #: mirror image of each discrete action, or the sign of each number of a continuous one
+    action: tuple[int, ...]
+
+
+def join_mirrors(senses: Sequence[Sense]) -> tuple[int, ...]:
+    """Return the mirror image of the numbers of senses one after the other.
+
+    Raises:
+        ValueError: if a sense has none.
+    """
+    joined: list[int] = []
+    for sense in senses:
+        if sense.mirror is None:
+            raise ValueError(
+                f"reflect: the sense {sense.name!r} has no mirror image; give Sense(mirror=...), "
+                "or do not observe it"
+            )
+        if sorted(map(abs, sense.mirror)) != list(range(1, 1 + len(sense.numbers))):
+            raise ValueError(
+                f"mirror = {sense.mirror} of the sense {sense.name!r}: must name each of 1 to "
+                f"{len(sense.numbers)} once, with a sign"
+            )
+        start = len(joined)
+        joined += [entry + start if entry > 0 else entry - start for entry in sense.mirror]
+    return tuple(joined)
