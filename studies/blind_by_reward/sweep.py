@@ -1,0 +1,168 @@
+"""Train and score the arms of ``plan.md``.
+
+    python studies/blind_by_reward/sweep.py train --arm line-sees-unit --seed 0    # continues a run
+    python studies/blind_by_reward/sweep.py score --arm line-sees-unit --seed 0
+    python studies/blind_by_reward/sweep.py table                                  # of what is scored
+"""
+
+import argparse
+import json
+from dataclasses import replace
+from math import sqrt
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from fishrl.envs import Flows, KarmanGait, make_env, run_episodes
+from fishrl.training import Callback, LearningSettings, Plan, RunSettings, Training, complete
+from fishrl.training import load_plan, load_policy, open_run
+from fishrl.training.evaluation import fixed_starts
+
+SIGHT, LINE, OWN = ("place", "drift", "heading"), "lateral_line", "own_motion"
+SEES: dict[str, Any] = {"critic_observes": SIGHT}
+#: Settings of the task, and whether inputs have unit scale, in the order of the plan.
+ARMS: dict[str, tuple[dict[str, Any], bool]] = {
+    "line-sees-unit": ({"observes": (OWN, LINE), **SEES}, True),
+    "line-symmetric-unit": ({"observes": (OWN, LINE)}, True),
+    "line-sees-raw": ({"observes": (OWN, LINE), **SEES}, False),
+    "line-symmetric-raw": ({"observes": (OWN, LINE)}, False),
+    "own-sees-unit": ({"observes": (OWN,), **SEES}, True),
+    "sight-unit": ({"observes": (*SIGHT, OWN), "num_stacked": 4}, True),
+    "line-sees-unit-no-history": (
+        {
+            "observes": (OWN, LINE),
+            "critic_observes": (*SIGHT, OWN, LINE),
+            "critic_reads_stack": False,
+        },
+        True,
+    ),
+}
+FRAMES, EVERY = 60_000, 1000
+RUNS, SCORES = Path("runs/blind_by_reward"), Path("runs/blind_by_reward/scores")
+#: Horizons in decisions of the averages that act; 0 is the last actor.
+RULES = {"last": 0, "average-5000": 5_000, "average-20000": 20_000}
+#: Starts by their seed and number, and decisions: 161 are 20 T.
+SETS = {"validation": (1, 16, 321), "test": (0, 48, 321), "test-100-T": (0, 48, 801)}
+
+
+def make_task(**changes: Any) -> KarmanGait:
+    """Return the task of ``gait_bend`` in the wider area."""
+    task: Any = load_plan("zoo/gait_bend").task
+    area = replace(task.safe_area, aside_bl=1.15)
+    return replace(task, **{"num_stacked": 16, "safe_area": area, **changes})
+
+
+def make_plan(arm: str, seed: int) -> Plan:
+    """Return the plan of a run."""
+    task, scale_inputs = ARMS[arm]
+    learning = LearningSettings(
+        seed=seed,
+        flows=Flows(num_envs=16),
+        warmup_frames=1280,
+        updates_per_frame=1.0,
+        batch_size=256,
+        buffer_size=60_000,
+        scale_inputs=scale_inputs,
+    )
+    run = RunSettings(
+        total_frames=FRAMES,
+        folder=str(RUNS),
+        name=f"{arm}-{seed}",
+        log_frames=512,
+        checkpoint_frames=4000,
+        keep_checkpoints=1,
+        eval_frames=FRAMES,
+        eval_episodes=1,
+        final_episodes=1,
+        baselines=(),
+    )
+    return Plan(task=make_task(**task), **vars(learning), **vars(run))
+
+
+class Snapshots(Callback):
+    """Keep the policy every ``EVERY`` decisions."""
+
+    def __init__(self) -> None:
+        self.training: Training | None = None
+
+    def on_progress(self, amount: int, *_: Any) -> None:
+        """Save it if it is due."""
+        if self.training is None:
+            return
+        frames, folder = self.training.counters.frames, self.training.folder.path / "actors"
+        if frames // EVERY > (frames - amount) // EVERY:
+            folder.mkdir(exist_ok=True)
+            weights = self.training.learner.actor.state_dict()
+            torch.save(weights, folder / f"{frames // EVERY * EVERY:06d}.pt")
+
+
+def train(arm: str, seed: int) -> None:
+    """Train an arm to its end, or continue it."""
+    torch.set_num_threads(1)
+    opened, snapshots = open_run(make_plan(arm, seed)), Snapshots()
+    if opened.summary is None:
+        snapshots.training = Training(opened, callbacks=[snapshots])
+        complete(snapshots.training)
+
+
+def average(folder: Path, horizon: int) -> dict[str, torch.Tensor]:
+    """Return the exponential average of the snapshots' weights, as ``actor_average`` forms it."""
+    mean: dict[str, torch.Tensor] = {}
+    for number, path in enumerate(sorted(folder.glob("*.pt")), 1):
+        rate = max(1.0 / number, EVERY / max(horizon, EVERY))
+        newest = torch.load(path, weights_only=True)
+        mean = {name: value.lerp(newest[name], rate) for name, value in mean.items()} or newest
+    return mean
+
+
+def score(arm: str, seed: int) -> None:
+    """Score a run by each rule on each set of starts."""
+    run, results = RUNS / f"{arm}-{seed}", {}
+    policy = load_policy(run)
+    for rule, horizon in RULES.items():
+        policy.load_state_dict(average(run / "actors", horizon))
+        for name, (start_seed, num, decisions) in SETS.items():
+            task = replace(make_task(**ARMS[arm][0]), time_limit=decisions)
+            env = make_env(task=task, flows=Flows(num_envs=16))
+            result = run_episodes(env, policy, fixed_starts(task, num, seed=start_seed))
+            env.close()
+            lengths = (result.lengths * result.interval_T).tolist()
+            results[f"{rule}/{name}"] = {
+                "T": result.metrics()["mean_length_T"],
+                "lasts": result.metrics()["success_rate"],
+                "lengths_T": [round(length, 2) for length in lengths],
+                "succeeded": result.succeeded.int().tolist(),
+                "terms": {term: float(sums.mean()) for term, sums in result.terms.items()},
+            }
+    SCORES.mkdir(parents=True, exist_ok=True)
+    (SCORES / f"{arm}-{seed}.json").write_text(json.dumps(results, indent=1))
+
+
+def table() -> None:
+    """Print mean and 95 % interval over seeds of each arm, rule and set."""
+    quantile = {2: 12.71, 3: 4.30, 4: 3.18, 5: 2.78}  # of Student's t
+    for arm in ARMS:
+        scores = [json.loads(path.read_text()) for path in sorted(SCORES.glob(f"{arm}-[0-9].json"))]
+        if not scores:
+            continue
+        chosen = max(RULES, key=lambda r: sum(s[f"{r}/validation"]["T"] for s in scores))
+        for rule in RULES:
+            for name in SETS:
+                each = torch.tensor([s[f"{rule}/{name}"]["T"] for s in scores])
+                lasts = " ".join(f"{100 * s[f'{rule}/{name}']['lasts']:.0f}" for s in scores)
+                width = quantile[len(each)] * each.std() / sqrt(len(each)) if len(each) > 1 else 0.0
+                mark = " <- quoted" if rule == chosen else ""
+                print(f"{arm:26s}{rule:15s}{name:12s}{each.mean():5.1f} ± {width:4.1f} T, lasts {lasts} %{mark}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("what", choices=("train", "score", "table"))
+    parser.add_argument("--arm", choices=ARMS, default="line-sees-unit")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    if options.what == "table":
+        table()
+    else:
+        {"train": train, "score": score}[options.what](options.arm, options.seed)
