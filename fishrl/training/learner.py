@@ -30,7 +30,7 @@ class Networks(NamedTuple):
     #: policy that is evaluated and saved, or the average of whose weights is; greedy under
     #: ``ExplorationType.DETERMINISTIC``
     actor: TensorDictModuleBase
-    #: policy that collects, for all fish, with the same weights; the collector saves its state
+    #: policy that collects, for one fish, with the same weights
     explorer: TensorDictModuleBase
     #: the sum of its outputs ``loss_...`` is minimised; all are logged as ``train/<name>``
     loss: LossModule
@@ -54,6 +54,7 @@ class Learner(ABC):
 
     Attributes:
         actor: policy that is evaluated and saved.
+        explorer: policy that collects, for all fish; the collector saves its state.
     """
 
     def __init__(self, networks: Networks, settings: LearningSettings) -> None:

@@ -69,12 +69,11 @@ def test_epsilon_decays_per_env_frame_not_per_fish(tmp_path: Path) -> None:
 
 
 def test_run_with_several_fish_resumes_exactly(tmp_path: Path) -> None:
-    algorithm = PPO(rollout_length=4, num_epochs=1)
-    whole = Training(open_run(make_plan(tmp_path, algorithm=algorithm)))
+    given: dict[str, Any] = {"algorithm": PPO(rollout_length=4, num_epochs=1)}
+    given |= {"scale_inputs": True, "actor_average": 12}
+    whole = Training(open_run(make_plan(tmp_path, **given)))
     whole.run()
-    begun = Training(
-        open_run(make_plan(tmp_path, algorithm=algorithm, name="parts", total_frames=18))
-    )
+    begun = Training(open_run(make_plan(tmp_path, **given, name="parts", total_frames=18)))
     begun.run()
     begun.close()
     resumed = Training(open_run(tmp_path / "parts", total_frames=24))
