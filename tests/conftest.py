@@ -10,7 +10,7 @@ import torch
 from fishrl.figure_style import STYLE
 from fishrl.limits import count_cores
 from fishrl.physics import InPlaceSolver
-from fishrl.physics.fast.stepper import Stepper
+from fishrl.physics.fast.part import Repeater
 
 STYLE["savefig.dpi"] = 50  # draws faster
 
@@ -31,7 +31,7 @@ def launched_one_by_one() -> Iterator[None]:
     """Record no graphs of eager steps on the pretended device; they have some 1,000 operators."""
     with pytest.MonkeyPatch.context() as patch:
         if "device" in sys.modules:
-            patch.setattr(Stepper, "_replay_", Stepper._advance_pairs_)
+            patch.setattr(Repeater, "_replay", Repeater.launch)
         yield
 
 

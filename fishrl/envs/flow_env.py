@@ -111,6 +111,7 @@ class FlowEnv(EnvBase):
             checks=task.checks_per_action,
             frames=frames_per_action,
             samples=self._history.num_samples,
+            unit=2**task.levels,
         )
         self._rows = torch.arange(flows.num_envs, device=self.device)
         self._seed, self._next_start = seed, 0

@@ -68,6 +68,9 @@ class AbstractTask(Settings, ABC):
         max_wall_speed: largest speed of the beating tail, nodes per step; sets the period T.
         skin: how fish and water act on each other: ``bounce-back``, a sharp skin, or
             ``immersed-boundary``, the paper's; see the page on resolution.
+        levels: grids of different spacing; with 2, only the water around the fish has the spacing
+            that L is in, the rest twice that, and with 3 the rest four times. For one body alone.
+            T, the actions and the domain are rounded to what this takes.
         domain_bl: width and height of the domain in body lengths.
         wall_margin_bl: smallest distance of a marker from the edge, in body lengths.
         num_stacked: stacked observations, the current one included.
@@ -89,6 +92,7 @@ class AbstractTask(Settings, ABC):
     reynolds: PositiveFloat = 7000.0
     max_wall_speed: PositiveFloat = DEFAULT_WALL_SPEED
     skin: Skin = BounceBack()
+    levels: Annotated[int, Field(ge=1, le=6)] = 1
     domain_bl: tuple[_Size, _Size] = (10.0, 5.0)
     wall_margin_bl: Annotated[float, Field(ge=0, le=1e6)] = 0.1
     num_stacked: Annotated[int, Field(ge=1, le=10_000)] = 4
@@ -108,17 +112,28 @@ class AbstractTask(Settings, ABC):
                 f"{suggest(unknown[0], list(self.known_senses))}"
             )
         num_samples = find_extension(self, HasHistory).num_samples
-        stops = make_schedule(self.n_substeps, checks=self.checks_per_action, samples=num_samples)
-        self.flow_config()  # raises if the domain is too small for the fish
+        stops = make_schedule(
+            self.n_substeps,
+            checks=self.checks_per_action,
+            samples=num_samples,
+            unit=2**self.levels,
+        )
+        flow = self.flow_config()  # raises if the domain is too small for the fish
+        if self.levels > 1 and len(flow.bodies) > 1:
+            raise ValueError(
+                f"levels = {self.levels} with {len(flow.bodies)} bodies: levels take one fish "
+                "alone, whose patch meets no other; give levels = 1"
+            )
         # A marker must not leave the grid from the margin between two checks.
         steps = [0, *(stop.step for stop in stops)]
         travel = self.swimming_speed * max(after - before for before, after in pairwise(steps))
-        least = 1.0 + travel
+        outside = 1.0 if self.levels == 1 else flow.body_bounds[0][0]  # where patches end
+        least = outside + travel
         if self.wall_margin < least:
             raise ValueError(
                 f"wall_margin_bl = {self.wall_margin_bl} is {self.wall_margin:.1f} nodes, but must "
-                f"be 1 more than the {travel:.1f} that markers may move between two checks: raise "
-                "it to at least "
+                f"be {outside:g} more than the {travel:.1f} that markers may move between two "
+                "checks: raise it to at least "
                 f"{ceil(1e3 * least / self.body_length) / 1e3:g}, or raise checks_per_action"
             )
 
@@ -215,8 +230,9 @@ class AbstractTask(Settings, ABC):
 
     @cached_property
     def scales(self) -> Scales:
-        """Lattice units of the task; the fastest beat or stream sets T."""
+        """Lattice units of the task; the fastest beat or stream sets T, a multiple of 2^levels."""
         return Scales.from_budget(
+            multiple=2**self.levels,
             body_length=self.body_length,
             reynolds=self.reynolds,
             max_wall_speed=self.max_wall_speed,
@@ -232,8 +248,9 @@ class AbstractTask(Settings, ABC):
 
     @property
     def n_substeps(self) -> int:
-        """Steps per action, an even number."""
-        return 2 * max(1, round(0.5 * self.control_interval_T * self.scales.period))
+        """Steps per action, a multiple of 2^levels."""
+        unit: int = 2**self.levels
+        return unit * max(1, round(self.control_interval_T * self.scales.period / unit))
 
     @property
     def interval_T(self) -> float:
@@ -276,13 +293,16 @@ class AbstractTask(Settings, ABC):
     def flow_config(self) -> FlowConfig:
         """Return the flow; the default is a closed tank of still water."""
         width, height = (round(size * self.body_length) for size in self.domain_bl)
-        bodies = (self.fish,) * self.num_fish
+        if self.levels > 1:  # edges lie on nodes of the coarsest level
+            unit: int = 2 ** (self.levels - 1)
+            width, height = (unit * round(size / unit) + 1 for size in (width, height))
         return FlowConfig(
             width=width,
             height=height,
             tau=self.scales.tau,
-            bodies=bodies,
+            bodies=(self.fish,) * self.num_fish,
             skin=self.skin,
+            levels=self.levels,
         )
 
     @abstractmethod

@@ -194,10 +194,18 @@ class FlowConfig(Settings):
     @property
     def num_bytes(self) -> int:
         """Size of the populations of one flow in bytes, in single precision."""
-        width, height = self.coarsest_size
-        sizes = [measure_patch(patch, self.bodies, self.levels) for patch in self.refined]
-        inside = sum(w * h for each in sizes for w, h in each)
-        return 4 * Q * (width * height + inside)
+        return 4 * Q * sum(width * height for width, height, _ in self.list_grids())
+
+    def list_grids(self) -> list[tuple[int, int, int]]:
+        """Return width and height of each grid in its own nodes, and their spacing, coarsest first.
+
+        The spacing is also the number of steps after which its nodes are updated.
+        """
+        grids = [(*self.coarsest_size, self.coarsest_spacing)]
+        for patch in self.refined:
+            sizes = measure_patch(patch, self.bodies, self.levels)
+            grids += [(*size, 2**k) for k, size in enumerate(reversed(sizes))][::-1]
+        return grids
 
     @property
     def fish(self) -> Fish | None:
@@ -229,14 +237,18 @@ class FlowConfig(Settings):
         num = max(1, len(entering))
         return sum(x for x, _ in entering) / num, sum(y for _, y in entering) / num
 
+    @property
+    def updates_per_step(self) -> float:
+        """Nodes that a step updates; with levels, in the mean."""
+        return sum(width * height / spacing for width, height, spacing in self.list_grids())
+
     def get_structure(self) -> object:
         """Return what all flows of one batch must share."""
         bodies = tuple((body.num_markers, body.get_structure()) for body in self.bodies)
         alike = replace(
             self, tau=1.0, stream_speed=0.0, ramp_steps=0, bodies=(), levels=1, patches=()
         )
-        sizes = [measure_patch(patch, self.bodies, self.levels) for patch in self.refined]
-        return alike, bodies, self.levels, self.patches, sizes
+        return alike, bodies, self.levels, self.patches, self.list_grids()
 
     def weigh_sponges(self) -> Tensor:
         """Return the weight of each sponge at each node, ``[S, Y, X]`` in [0, 1]."""

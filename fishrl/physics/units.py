@@ -94,11 +94,13 @@ class Scales(Settings):
         gait: Gait = CARLING,
         max_frequency: float = 1.0,
         stream_speed_bl: float = 0.0,
+        multiple: int = 2,
     ) -> "Scales":
         """Choose the shortest even period that keeps tail and stream within ``max_wall_speed``.
 
-        ``max_wall_speed`` is in nodes per step; times sqrt(3) it is a Mach number. The other
-        arguments are as for the class.
+        ``max_wall_speed`` is in nodes per step; times sqrt(3) it is a Mach number. The period is a
+        multiple of an even number, of 2^levels for a flow with levels. The other arguments are as
+        for the class.
         """
         if not 0.0 < max_wall_speed <= MAX_WALL_SPEED:
             raise ValueError(
@@ -106,11 +108,12 @@ class Scales(Settings):
                 f"is (0, {MAX_WALL_SPEED}]; {DEFAULT_WALL_SPEED} is the validated default"
             )
         fastest_bl = max(gait.tail_speed * max_frequency, stream_speed_bl)
-        even = max(2, 2 * -int(-fastest_bl * body_length / max_wall_speed // 2))
+        least = fastest_bl * body_length / max_wall_speed
+        period = multiple * max(1, -int(-least // multiple))
         return cls(
             body_length=body_length,
             reynolds=reynolds,
-            period=even,
+            period=period,
             gait=gait,
             max_frequency=max_frequency,
             stream_speed_bl=stream_speed_bl,

@@ -92,8 +92,7 @@ class Counters:
 
 def compute_mlups(task: AbstractTask, num_frames: int, seconds: float) -> float:
     """Return million lattice node updates per second, with sensing and policy included."""
-    flow = task.flow_config()
-    num_updates = flow.width * flow.height * task.n_substeps * num_frames
+    num_updates = task.flow_config().updates_per_step * task.n_substeps * num_frames
     return num_updates / max(seconds, 1e-9) / 1e6
 
 

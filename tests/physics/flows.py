@@ -59,9 +59,14 @@ def advance(
 
 def read_state(solver: InPlaceSolver) -> FlowState:
     """Return the state at which flows begin, in float64, for readable steps."""
-    bodies = tuple(BodyState(*(value.clone() for value in body)) for body in solver.bodies)
+    bodies = read_bodies(solver)
     time = torch.zeros(solver.num_envs, dtype=torch.float64)
     return FlowState(solver.populations().double(), bodies, time)
+
+
+def read_bodies(solver: InPlaceSolver) -> tuple[BodyState, ...]:
+    """Return copies of the bodies' states."""
+    return tuple(BodyState(*(value.clone() for value in body)) for body in solver.bodies)
 
 
 def start_solver(

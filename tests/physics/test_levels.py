@@ -57,7 +57,7 @@ def walk(
     for patch, level in zip(state.patches, root.patches, strict=True):
         by = torch.randint(-1, 2, patch.origin.shape, generator=random)
         goal = patch.origin + by
-        low, high = torch.tensor(level.low), torch.tensor(level.high)
+        low, high = torch.tensor(level.frame.low), torch.tensor(level.frame.high)
         moved.append(move_patch(patch, torch.where((goal >= low) & (goal <= high), by, 0)))
     return state._replace(patches=tuple(moved))
 
@@ -218,7 +218,7 @@ def test_patch_stops_before_an_edge_and_the_flow_stays_finite():
     state = refine(FlowState(make_rest(config, 1), (fish,), 0.0 * ONE), config)
     state = advance(state, config, 70)
     (level,) = plan_levels(config).patches
-    assert int(state.patches[0].origin[0, 1]) == level.high[1]
+    assert int(state.patches[0].origin[0, 1]) == level.frame.high[1]
     assert state.f.isfinite().all()
 
 

@@ -7,12 +7,12 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.physics.bodies.state import make_body
+from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.fast.checks import check_tensor
 from fishrl.physics.fast.flow_memory import FlowData, GroupMemory, carve_memory
 from fishrl.physics.fast.layout import InPlaceLayout
-from fishrl.physics.fast.part import FlowGroup, copy_tree
+from fishrl.physics.fast.part import FlowGroup, Part, copy_tree
 from fishrl.physics.fast.stepper import Stepper
 from fishrl.physics.flow import FlowConfig, make_params
 
@@ -26,6 +26,8 @@ class FlowBatch:
         device: where everything lives.
         allocate: makes the block of memory, from its size in bytes.
         groups: those that this process reads and advances; None is all.
+
+    ``RefinedBatch`` has the same methods for flows with levels.
 
     Attributes:
         flow: everything except the populations, changed in place.
@@ -45,7 +47,7 @@ class FlowBatch:
         config = self._config = configs[0]
         self._size = group_size
         self.layout = InPlaceLayout(num_envs=group_size, height=config.height, width=config.width)
-        self._fresh = _make_fresh(configs, device)
+        self._fresh = make_fresh(configs, device)
         self.flow, self._omega, self._populations = carve_memory(
             self._fresh,
             self.layout,
@@ -78,12 +80,68 @@ class FlowBatch:
     def initialise_(self) -> None:
         """Write the initial parameters, bodies at rest and relaxation rates."""
         copy_tree(self.flow, self._fresh)
+        self.set_omega_()
+
+    def set_omega_(self) -> None:
+        """Write the relaxation rates of the present parameters."""
         omega = self._config.compute_omega(self.flow.params.tau)
         if omega.shape[1:] == (1, 1):
             self._omega.copy_(omega[:, 0])
         else:
             self._omega.fill_(1.0)
             self.layout.strip_rings(self._omega).copy_(omega)
+
+    def compile(self, *, with_check: bool, helps: bool = False) -> None:
+        """Compile the step, as ``Stepper.compile``."""
+        self.stepper.compile(self.first, with_check=with_check, helps=helps)
+
+    def compile_check(self) -> None:
+        """Compile the check alone, for a process that reads flows which others advance."""
+        self.stepper.check.compile(self.first.arguments[self.stepper.check][0])
+
+    def is_new(self) -> bool:
+        """Return whether ``compile`` would put new code on the disk."""
+        return self.stepper.is_new(self.first)
+
+    def list_calls(self) -> list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]:
+        """Return ``InPlaceSolver.list_calls``."""
+        return [(part, self.first.arguments[part]) for part in self.stepper.parts]
+
+    def check_places(self, bodies: Sequence[BodyState], rows: Tensor) -> None:
+        """Raise ValueError for bodies that may not be where they are: none, with one level."""
+
+    def before_(self) -> None:
+        """Prepare an advance, in the process that reads the flows: nothing, with one level."""
+
+    def after_(self, wanted: Collection[int]) -> None:
+        """End it."""
+
+    def fill_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
+        """Set all nodes of the flows in ``rows`` ``[B]`` bool to the populations ``[B]``."""
+        for number, group in self.groups.items():
+            own = self.rows_of(number)
+            if self._size > 1 or rows[own].item():
+                group.fill_(rows[own], [value[own] for value in f])
+
+    def write_(self, rows: Tensor, f: Tensor) -> None:
+        """Set the populations ``[N, Q, Y, X]`` of the flows ``rows`` ``[N]``, indices."""
+        for number in sorted(set((rows // self._size).tolist())):
+            is_own = rows // self._size == number
+            self.groups[number].write_(rows[is_own] % self._size, f[is_own])
+
+    def populations(self) -> Tensor:
+        """Return a copy of the incoming populations ``[B, Q, Y, X]``."""
+        return torch.cat([torch.stack(group.nodes, 1) for group in self.groups.values()])
+
+    def macroscopic(self) -> tuple[Tensor, Tensor]:
+        """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
+        fluids = [compute_macroscopic(group.nodes) for group in self.groups.values()]
+        velocities = [torch.stack((fluid.ux, fluid.uy), 1) for fluid in fluids]
+        return torch.cat([fluid.rho for fluid in fluids]), torch.cat(velocities)
+
+    def is_fine(self) -> Tensor:
+        """Return ``[B]``: whether density and speed are within the method."""
+        return torch.cat([self.stepper.is_fine(group) for group in self.groups.values()])
 
     def advance_(self, num_steps: int, wanted: Collection[int]) -> None:
         """Advance the wanted groups, as far as they belong to this process."""
@@ -129,11 +187,13 @@ class FlowBatch:
 
         ``f0`` to ``f8`` are the incoming populations ``[B, Y, X]`` before an even step.
         """
-        pairs, _ = pytree.tree_flatten_with_path(self.flow)
-        named = {pytree.keystr(path).lstrip("."): [leaf] for path, leaf in pairs}
+        return {**self.name_populations(), **name_numbers(self.flow)}
+
+    def name_populations(self) -> dict[str, list[Tensor]]:
+        """Return populations and relaxation rates, for ``name_state``."""
         nodes = zip(*(group.nodes for group in self.groups.values()), strict=True)
         populations = {f"f{q}": list(views) for q, views in enumerate(nodes)}
-        return {**populations, "omega": [self._omega], **named}
+        return {**populations, "omega": [self._omega]}
 
     def load_state_(self, state: Mapping[str, Tensor]) -> None:
         """Restore the tensors of ``name_state``, each of all flows ``[B, ...]``.
@@ -141,20 +201,30 @@ class FlowBatch:
         Raises:
             ValueError: for a state of another grid, batch or version.
         """
-        own_state = self.name_state()
-        for name, own in own_state.items():
-            shape = (len(self.flow.clock), *own[0].shape[1:])
-            expected = f"{own[0].dtype} of shape {shape}"
-            saved = state.get(name)
-            got = "nothing" if saved is None else f"{saved.dtype} of shape {tuple(saved.shape)}"
-            if got != expected:
-                raise ValueError(
-                    f"state '{name}' is {got}, expected {expected}: it was saved by a solver of "
-                    "another grid, batch or version"
-                )
-        for name, own in own_state.items():
-            for part, saved in zip(own, torch.split(state[name], len(own[0])), strict=True):
-                part.copy_(saved)
+        restore_(self.name_state(), state)
+
+
+def name_numbers(flow: FlowData) -> dict[str, list[Tensor]]:
+    """Return the numbers of flows, for ``FlowBatch.name_state``."""
+    pairs, _ = pytree.tree_flatten_with_path(flow)
+    return {pytree.keystr(path).lstrip("."): [leaf] for path, leaf in pairs}
+
+
+def restore_(own: Mapping[str, Sequence[Tensor]], state: Mapping[str, Tensor]) -> None:
+    """Copy saved tensors ``[B, ...]`` into those of ``name_state``, as ``load_state_``."""
+    for name, parts in own.items():
+        shape = (sum(map(len, parts)), *parts[0].shape[1:])
+        expected = f"{parts[0].dtype} of shape {shape}"
+        saved = state.get(name)
+        got = "nothing" if saved is None else f"{saved.dtype} of shape {tuple(saved.shape)}"
+        if got != expected:
+            raise ValueError(
+                f"state '{name}' is {got}, expected {expected}: it was saved by a solver of "
+                "another grid, batch or version"
+            )
+    for name, parts in own.items():
+        for part, saved in zip(parts, torch.split(state[name], len(parts[0])), strict=True):
+            part.copy_(saved)
 
 
 def set_rows_(own: Any, new: Any, rows: Tensor, *, name: str) -> None:
@@ -171,7 +241,7 @@ def set_rows_(own: Any, new: Any, rows: Tensor, *, name: str) -> None:
         before.copy_(torch.where(chosen, after, before))
 
 
-def _make_fresh(configs: Sequence[FlowConfig], device: torch.device) -> FlowData:
+def make_fresh(configs: Sequence[FlowConfig], device: torch.device) -> FlowData:
     """Return the initial numbers of flows, with bodies at rest in the middle of the domain."""
     zero = torch.zeros(len(configs), dtype=torch.float64, device=device)
     middle = torch.tensor([0.5 * configs[0].width, 0.5 * configs[0].height]).double()

@@ -4,19 +4,18 @@ import logging
 import time
 from collections.abc import Collection, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import IO
 
 import torch
 from torch import Tensor
 
 from fishrl.limits import count_cores
-from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.fast.inductor import find_compiler_problem
+from fishrl.physics.fast.refined import make_batch
 from fishrl.physics.fast.workers import (
+    SharedMemory,
     Workers,
     can_send,
     compiling_aside,
-    map_shared,
     open_shared,
 )
 from fishrl.physics.flow import FlowConfig
@@ -66,20 +65,17 @@ class Execution:
         self.num_workers = min(num_workers, num_groups)
         self.workers: Workers | None = None
         self._configs, self._device, self._wants_compile = configs, device, compile
-        self._shared: IO[bytes] | None = None
         self._is_ready, self._end = False, ""  # why it cannot advance
-        self.batch = FlowBatch(
+        self._shared = open_shared() if self.num_workers else None
+        self.batch = make_batch(
             configs,
             group_size=self.group_size,
             device=device,
-            allocate=self._allocate,
+            allocate=SharedMemory(self._shared.fileno()) if self._shared else self._allocate,
         )
 
     def _allocate(self, num_bytes: int) -> Tensor:
-        if not self.num_workers:
-            return torch.zeros(num_bytes, dtype=torch.uint8, device=self._device)
-        self._shared = open_shared(num_bytes)
-        return map_shared(self._shared.fileno(), num_bytes)
+        return torch.zeros(num_bytes, dtype=torch.uint8, device=self._device)
 
     def compile(self) -> None:
         """Compile the step and start the workers, once."""
@@ -106,7 +102,7 @@ class Execution:
         )
         try:
             if self._wants_compile:
-                self.batch.stepper.compile_check(self.batch.first)
+                self.batch.compile_check()
             workers.wait()
         except BaseException:  # as by Ctrl-C: the next time begins from the start
             workers.close()
@@ -116,11 +112,10 @@ class Execution:
 
     def _compile_here(self) -> None:
         """Compile all parts, those of a single flow in two processes if they are new."""
-        stepper, first = self.batch.stepper, self.batch.first
         with self._limit_threads():
-            is_shared = self._is_alone and count_cores() > 1 and stepper.is_new(first)
+            is_shared = self._is_alone and count_cores() > 1 and self.batch.is_new()
             with compiling_aside(self._configs) if is_shared else nullcontext():
-                stepper.compile(first, with_check=True)
+                self.batch.compile(with_check=True)
 
     def _limit_threads(self) -> AbstractContextManager[None]:
         """Return a context in which flows that need one worker run here as they would there."""
@@ -131,16 +126,18 @@ class Execution:
         if self._end:
             raise RuntimeError(f"this solver {self._end}: make a new one")
         self.compile()
+        self.batch.before_()
         if self.num_workers:
             assert self.workers is not None
             self.workers.advance_(num_steps, groups)
-            return
-        try:
-            with self._limit_threads():
-                self.batch.advance_(num_steps, groups)
-        except BaseException:  # as by Ctrl-C: in the middle of a step
-            self._end = "was interrupted within a step"
-            raise
+        else:
+            try:
+                with self._limit_threads():
+                    self.batch.advance_(num_steps, groups)
+            except BaseException:  # as by Ctrl-C: in the middle of a step
+                self._end = "was interrupted within a step"
+                raise
+        self.batch.after_(groups)
 
     def close(self) -> None:
         """End the workers, if any; the flows can still be read."""

@@ -1,7 +1,7 @@
 """Parts of the fast step, functions of tensors that they change in place, and groups of flows."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, TypeVarTuple
+from typing import Any, Protocol, TypeVar, TypeVarTuple
 
 import torch
 from torch import Tensor
@@ -13,6 +13,18 @@ from fishrl.physics.fast.identity import identify
 from fishrl.physics.fast.recording import Call, record
 
 Trees = TypeVarTuple("Trees")
+
+
+class HasPopulations(Protocol):
+    """Memory of a group, as ``GroupMemory``, or of a patch."""
+
+    @property
+    def populations(self) -> Tensor:
+        """Its populations, or some."""
+
+
+Memory = TypeVar("Memory", bound=HasPopulations)
+_GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 
 
 class Part:
@@ -35,21 +47,21 @@ class Part:
     def __init__(
         self,
         name: str,
-        collect: Callable[[GroupMemory, int], tuple[*Trees]],
+        collect: Callable[[Memory, int], tuple[*Trees]],
         act: Callable[[*Trees], None],
         settings: Mapping[str, Mapping[str, object]] | None,
         *,
         any_grid: bool = False,
     ) -> None:
         self.name, self._settings, self._any_grid = name, settings, any_grid
-        self.collect: Callable[[GroupMemory, int], tuple[Any, ...]] = collect
+        self.collect: Callable[[Any, int], tuple[Any, ...]] = collect
         self._act: Callable[..., None] = act
         self._form: pytree.TreeSpec | None = None
         self._num_varying = 0
         self._scratch: list[Tensor] = []  # memory between the kernels, shared by all groups
         self.run: InPlaceFunction = self._act_on
 
-    def bind(self, memory: GroupMemory) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
+    def bind(self, memory: HasPopulations) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
         """Return the arguments of ``run`` for a group, at even and at odd steps."""
         even, odd = self.collect(memory, 0), self.collect(memory, 1)
         self._form = pytree.tree_structure(even)
@@ -104,16 +116,14 @@ class FlowGroup:
     Attributes:
         nodes: the nine incoming populations ``[B, Y, X]`` before an even step.
         arguments: arguments of each part, at even and odd steps.
-        calls: those of an even and an odd step, recorded on a CPU in the first.
-        graphs: CUDA graphs by number of pairs of steps.
+        repeater: the pair of steps, once it has been made.
     """
 
     def __init__(self, memory: GroupMemory, parts: Iterable[Part]) -> None:
         self._cells = memory.cells(0)
         self.nodes = memory.incoming(0)
         self.arguments = {part: part.bind(memory) for part in parts}
-        self.calls: list[Call] = []
-        self.graphs: dict[int, torch.cuda.CUDAGraph] = {}
+        self.repeater: Repeater | None = None
 
     def write_(self, rows: Tensor, f: Tensor) -> None:
         """Set the incoming populations ``[N, Q, Y, X]`` of the flows ``rows`` ``[N]``, indices."""
@@ -124,6 +134,80 @@ class FlowGroup:
         """Set all cells of the flows in ``rows`` ``[B]`` bool to the populations ``[B]``."""
         for view, value in zip(self._cells, f, strict=True):
             view.copy_(torch.where(rows[:, None], value[:, None], view))
+
+
+class Step(Protocol):
+    """What a step consists of: a part, or something that the host decides."""
+
+    @property
+    def run(self) -> Callable[..., object]:
+        """What it does to its tensors."""
+
+    def record(self, tensors: Sequence[Tensor], /) -> list[Call]:
+        """Run once, and return the calls that do the same again."""
+
+
+Bound = tuple[Part, Sequence[Tensor]]
+
+
+def compile_parts(parts: Sequence[Bound], *, helps: bool) -> None:
+    """Compile parts for arguments like those they come with, in order.
+
+    Processes share the work: what another one compiles is loaded last. One that ``helps`` others
+    leaves that, and what cannot be stored for them.
+    """
+    own = [(part, tensors) for part, tensors in parts if part.key is not None or not helps]
+    left = [(part, tensors) for part, tensors in own if not part.compile(tensors, waits=False)]
+    for part, tensors in () if helps else left:
+        part.compile(tensors)
+
+
+class Repeater:
+    """A pair of an even and an odd step, which repeats: recorded on a CPU, a graph on a GPU."""
+
+    def __init__(self, steps: Sequence[tuple[Step, Sequence[Tensor]]]) -> None:
+        self._steps, self._device = steps, steps[0][1][0].device
+        self._calls: list[Call] = []  # recorded in the first pair
+        self._graphs: dict[int, torch.cuda.CUDAGraph] = {}  # by number of pairs
+
+    def run(self, num_pairs: int) -> None:
+        """Advance by pairs of steps."""
+        if not num_pairs:
+            return
+        if self._device.type == "cuda":
+            self._run_graphs(num_pairs)
+            return
+        if not self._calls:
+            calls = [part.record(tensors) for part, tensors in self._steps]
+            self._calls = [call for each in calls for call in each]
+            num_pairs -= 1
+        for _ in range(num_pairs):
+            for call in self._calls:
+                call()
+
+    def launch(self, num_pairs: int) -> None:
+        """Advance by pairs of steps without recording."""
+        for _ in range(num_pairs):
+            for part, tensors in self._steps:
+                part.run(*tensors)
+
+    def _run_graphs(self, num_pairs: int) -> None:
+        if not self._graphs:  # kernels are built in a first call, which cannot be captured
+            self.launch(1)
+            num_pairs -= 1
+        while num_pairs > 0:
+            self._replay(min(num_pairs, _GRAPH_PAIRS))
+            num_pairs -= _GRAPH_PAIRS
+
+    def _replay(self, num_pairs: int) -> None:
+        """Advance by pairs of steps that are launched as one CUDA graph, recorded once."""
+        with torch.cuda.device(self._device):
+            if num_pairs not in self._graphs:
+                graph = torch.cuda.CUDAGraph()
+                with torch.cuda.graph(graph):
+                    self.launch(num_pairs)
+                self._graphs[num_pairs] = graph
+            self._graphs[num_pairs].replay()
 
 
 def copy_tree(old: object, new: object) -> None:

@@ -10,11 +10,12 @@ from torch import Tensor
 
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
-from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
+from fishrl.physics.collision import compute_equilibrium
 from fishrl.physics.fast.batch import set_rows_
 from fishrl.physics.fast.checks import check_device, check_tensor, read_frequency
 from fishrl.physics.fast.execution import Execution
 from fishrl.physics.fast.part import Part
+from fishrl.physics.fast.refined import RefinedBatch
 from fishrl.physics.flow import (
     FlowConfig,
     change_stream_speed,
@@ -62,11 +63,6 @@ class InPlaceSolver:
         check_device(device)
         device = torch.device(device)
         configs = list_configs(config, num_envs, device)
-        if configs[0].levels > 1:
-            raise ValueError(
-                f"levels = {configs[0].levels}: InPlaceSolver has one level; use simulate, or give "
-                "levels = 1"
-            )
         torch.set_flush_denormal(True)  # still water decays into denormals, which are slow
         self.configs, self.config = configs, configs[0]
         self.num_envs, self.device = len(configs), device
@@ -112,6 +108,8 @@ class InPlaceSolver:
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
         """Advance the flows of ``rows`` ``[B]`` bool (None is all) by an even number of steps.
 
+        With levels it is even on the coarsest one, a multiple of 2^levels.
+
         Flows that share a group with one of them advance too; all others keep their state. On a CPU
         each flow is its own group by default. On a GPU all flows are one group, which always
         advances, since the host would have to wait to see whether any row must.
@@ -123,8 +121,9 @@ class InPlaceSolver:
             ValueError: for an odd number of steps, for ``rows`` that are not ``[B]`` bool, and for
                 several bodies that have not been placed.
         """
-        if num_steps < 0 or num_steps % 2:
-            raise ValueError(f"num_steps = {num_steps}: must be even and not negative")
+        unit = 2 * self.config.coarsest_spacing
+        if num_steps < 0 or num_steps % unit:
+            raise ValueError(f"num_steps = {num_steps}: must be a multiple of {unit}, or 0")
         is_one_launch = self.device.type == "cuda" and self._group_size == self.num_envs
         chosen = self._choose(rows).view(-1, self._group_size).any(-1)
         groups = [0] if is_one_launch else chosen.nonzero()[:, 0].tolist()
@@ -200,6 +199,7 @@ class InPlaceSolver:
             make_body(position[:, m], heading[:, m], frequency) for m in range(len(self.bodies))
         ]
         check_placement(self.config, flow.params.bodies, fresh, rows)
+        self._batch.check_places(fresh, rows)
         if self._unplaced is not None:
             left = self._unplaced & ~rows
             self._unplaced = left if left.any() else None
@@ -212,10 +212,7 @@ class InPlaceSolver:
         speed = params.stream_speed.float()
         still = torch.zeros_like(speed)
         f = compute_equilibrium(still, velocity[0] * speed, velocity[1] * speed)
-        for number, group in self._batch.groups.items():
-            own = self._batch.rows_of(number)
-            if self._group_size > 1 or rows[own].item():
-                group.fill_(rows[own], [value[own] for value in f])
+        self._batch.fill_(rows, f)
         self.join_stream_(rows)
 
     def join_stream_(self, rows: Tensor) -> None:
@@ -266,11 +263,10 @@ class InPlaceSolver:
     def set_populations_(self, f: Tensor, rows: Tensor | None = None) -> None:
         """Set all flows, or the N of ``rows`` ``[B]``, to shifted populations ``[N, Q, Y, X]``."""
         chosen = self._choose(rows).nonzero()[:, 0]
+        if isinstance(self._batch, RefinedBatch):
+            raise ValueError("populations with levels are of several grids: use load_state_dict")
         check_tensor("f", f, (len(chosen), Q, self.config.height, self.config.width))
-        f = f.to(self.device)
-        for number in sorted(set((chosen // self._group_size).tolist())):
-            is_own = chosen // self._group_size == number
-            self._batch.groups[number].write_(chosen[is_own] % self._group_size, f[is_own])
+        self._batch.write_(chosen, f.to(self.device))
 
     def command_(
         self,
@@ -312,14 +308,13 @@ class InPlaceSolver:
 
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""
-        groups = self._batch.groups.values()
-        return torch.cat([torch.stack(group.nodes, 1) for group in groups])
+        if isinstance(self._batch, RefinedBatch):
+            raise ValueError("populations with levels are of several grids: use state_dict")
+        return self._batch.populations()
 
     def macroscopic(self) -> tuple[Tensor, Tensor]:
         """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
-        fluids = [compute_macroscopic(group.nodes) for group in self._batch.groups.values()]
-        velocities = [torch.stack((fluid.ux, fluid.uy), 1) for fluid in fluids]
-        return torch.cat([fluid.rho for fluid in fluids]), torch.cat(velocities)
+        return self._batch.macroscopic()
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return density ``[B, P]`` and velocity ``[B, P, 2]`` at points ``[B, P, 2]`` (x, y).
@@ -348,8 +343,7 @@ class InPlaceSolver:
 
     def is_diverged(self) -> Tensor:
         """Return ``[B]`` bool: density or speed is out of range, or a body outside the grid."""
-        batch = self._batch
-        fine = torch.cat([batch.stepper.is_fine(group) for group in batch.groups.values()])
+        fine = self._batch.is_fine()
         for index in range(len(self.bodies)):
             fine = fine & lies_inside(self.markers(index), self.config)
         return ~fine
@@ -373,4 +367,4 @@ class InPlaceSolver:
         Each comes with the first group's arguments of ``run`` at even and at odd steps; the first
         part is the collision.
         """
-        return [(part, self._batch.first.arguments[part]) for part in self._batch.stepper.parts]
+        return self._batch.list_calls()

@@ -15,10 +15,8 @@ from fishrl.physics.fast.body_parts import make_skin_parts
 from fishrl.physics.fast.flow_memory import FlowData
 from fishrl.physics.fast.fluid_parts import make_check, make_collision, make_crossing, make_edges
 from fishrl.physics.fast.layout import InPlaceLayout
-from fishrl.physics.fast.part import FlowGroup, Part
+from fishrl.physics.fast.part import Bound, FlowGroup, Part, Repeater, compile_parts
 from fishrl.physics.flow import FlowConfig
-
-_GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 
 
 class Stepper:
@@ -33,7 +31,7 @@ class Stepper:
     """
 
     def __init__(self, config: FlowConfig, layout: InPlaceLayout, sample: FlowData) -> None:
-        device = self._device = sample.clock.device
+        device = sample.clock.device
         self.locate: Part | None = None
         self.parts: list[Part] = [make_collision(config)]
         if config.bodies:
@@ -51,28 +49,19 @@ class Stepper:
         return [*self.parts, *located, *([self.check] if with_check else ())]
 
     def compile(self, example: FlowGroup, *, with_check: bool, helps: bool = False) -> None:
-        """Compile all parts, for groups of the form of ``example``.
+        """Compile all parts, for groups of the form of ``example``, as ``compile_parts`` does.
 
-        Processes share the work: what another one compiles is loaded last. One that ``helps``
-        others leaves that, and what cannot be stored for them. Only a process that reads the flows
-        needs the check.
+        Only a process that reads the flows needs the check.
         """
         collision, *rest = self.list_all(with_check=with_check)
-        parts = [*rest, collision]  # the longest are not the last, so that processes end together
-        parts = [part for part in parts if part.key is not None or not helps]
-        tensors = {part: example.arguments[part][0] for part in parts}
-        left = [part for part in parts if not part.compile(tensors[part], waits=False)]
-        for part in () if helps else left:
-            part.compile(tensors[part])
+        # the longest are not the last, so that processes end together
+        parts = [(part, example.arguments[part][0]) for part in (*rest, collision)]
+        compile_parts(parts, helps=helps)
 
     def is_new(self, example: FlowGroup) -> bool:
         """Return whether ``compile`` would put new code on the disk."""
         parts = self.list_all()
         return not all(part.is_stored(example.arguments[part][0]) for part in parts)
-
-    def compile_check(self, example: FlowGroup) -> None:
-        """Compile the check alone, for a process that reads flows which others advance."""
-        self.check.compile(example.arguments[self.check][0])
 
     def is_fine(self, group: FlowGroup) -> Tensor:
         """Return ``[B]``: whether density and speed are within the method, before an even step."""
@@ -86,37 +75,10 @@ class Stepper:
             return
         if self.locate is not None:
             self.locate.run(*group.arguments[self.locate][1])  # as after an odd step
-        if self._device.type == "cuda":
-            self._advance_graphs_(group, num_pairs)
-            return
-        if not group.calls:  # recorded as they run for the first time
-            steps = [[part.record(group.arguments[part][k]) for part in self.parts] for k in (0, 1)]
-            group.calls = [call for step in steps for calls in step for call in calls]
-            num_pairs -= 1
-        for _ in range(num_pairs):
-            for call in group.calls:
-                call()
+        if group.repeater is None:
+            group.repeater = Repeater([*self.list_step(group, 0), *self.list_step(group, 1)])
+        group.repeater.run(num_pairs)
 
-    def _advance_graphs_(self, group: FlowGroup, num_pairs: int) -> None:
-        if not group.graphs:  # kernels are built in a first call, which cannot be captured
-            self._advance_pairs_(group, 1)
-            num_pairs -= 1
-        while num_pairs > 0:
-            self._replay_(group, min(num_pairs, _GRAPH_PAIRS))
-            num_pairs -= _GRAPH_PAIRS
-
-    def _advance_pairs_(self, group: FlowGroup, num_pairs: int) -> None:
-        for _ in range(num_pairs):
-            for parity in (0, 1):
-                for part in self.parts:
-                    part.run(*group.arguments[part][parity])
-
-    def _replay_(self, group: FlowGroup, num_pairs: int) -> None:
-        """Advance by pairs of steps that are launched as one CUDA graph, recorded once."""
-        with torch.cuda.device(self._device):
-            if num_pairs not in group.graphs:
-                graph = torch.cuda.CUDAGraph()
-                with torch.cuda.graph(graph):
-                    self._advance_pairs_(group, num_pairs)
-                group.graphs[num_pairs] = graph
-            group.graphs[num_pairs].replay()
+    def list_step(self, group: FlowGroup, parity: int) -> list[Bound]:
+        """Return the parts of an even (0) or odd (1) step in order, with a group's arguments."""
+        return [(part, group.arguments[part][parity]) for part in self.parts]

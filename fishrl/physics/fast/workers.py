@@ -24,23 +24,30 @@ import torch
 from torch import Tensor
 
 from fishrl.children import CAN_START, start_child
-from fishrl.physics.fast.batch import FlowBatch
+from fishrl.physics.fast.refined import make_batch
 from fishrl.physics.flow import FlowConfig
 
 
-def open_shared(num_bytes: int) -> IO[bytes]:
-    """Open an anonymous file of zeros in memory, which vanishes with its last user."""
+def open_shared() -> IO[bytes]:
+    """Open an anonymous file in memory, which vanishes with its last user."""
     if sys.platform == "linux":
-        file = os.fdopen(os.memfd_create("fishrl"), "w+b")
-    else:
-        file = tempfile.TemporaryFile()  # noqa: SIM115 - open until the workers have mapped it
-    file.truncate(num_bytes)
-    return file
+        return os.fdopen(os.memfd_create("fishrl"), "w+b")
+    return tempfile.TemporaryFile()
 
 
-def map_shared(file: int, num_bytes: int) -> Tensor:
-    """Return the content of a file descriptor ``[num_bytes]``, shared with all who map it."""
-    return torch.frombuffer(mmap.mmap(file, num_bytes), dtype=torch.uint8)
+class SharedMemory:
+    """Blocks in a file, of zeros at first: what processes ask for in equal order they share."""
+
+    def __init__(self, file: int) -> None:
+        self._file, self._end = file, 0
+
+    def __call__(self, num_bytes: int) -> Tensor:
+        """Return the next block ``[num_bytes]``."""
+        begin, unit = self._end, mmap.ALLOCATIONGRANULARITY
+        self._end += -(-num_bytes // unit) * unit
+        if os.fstat(self._file).st_size < self._end:
+            os.ftruncate(self._file, self._end)
+        return torch.frombuffer(mmap.mmap(self._file, num_bytes, offset=begin), dtype=torch.uint8)
 
 
 def can_send(configs: Sequence[FlowConfig]) -> bool:
@@ -155,14 +162,14 @@ def compile_aside() -> None:
     """Compile what the parent has not begun to compile."""
     configs = pickle.load(sys.stdin.buffer)
     _begin()
-    batch = FlowBatch(
+    batch = make_batch(
         configs,
         group_size=1,
         device=torch.device("cpu"),
         allocate=partial(torch.zeros, dtype=torch.uint8),
     )
     with suppress(OSError):  # of the compiler: the parent meets the same
-        batch.stepper.compile(batch.first, with_check=True, helps=True)
+        batch.compile(with_check=True, helps=True)
 
 
 def serve() -> None:
@@ -171,16 +178,16 @@ def serve() -> None:
     os.dup2(2, 1)  # nothing but answers may go to the pipe
     configs, group_size, groups, file, compile = pickle.load(requests)
     _begin()
-    batch = FlowBatch(
+    batch = make_batch(
         configs,
         group_size=group_size,
         device=torch.device("cpu"),
-        allocate=partial(map_shared, file),
+        allocate=SharedMemory(file),
         groups=groups,
     )
     try:
         if compile:
-            batch.stepper.compile(batch.first, with_check=False)
+            batch.compile(with_check=False)
     except OSError as error:  # of the compiler
         _send(answers, str(error))
         return

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -25,6 +26,14 @@ Pair = tuple[int, int]
 FILLED = Boundaries(left=Filled(), right=Filled(), bottom=Filled(), top=Filled())
 
 
+class Frame(NamedTuple):
+    """Size of a patch and its bounds, (x, y) each."""
+
+    size: Pair  #: width and height in its own nodes
+    low: Pair  #: least origin in its parent
+    high: Pair  #: largest
+
+
 @dataclass(frozen=True)
 class Level:
     """One grid of a flow, and those inside it."""
@@ -33,19 +42,24 @@ class Level:
     spacing: int  #: of its nodes, in nodes of the finest level
     patch: Patch | None  #: that it belongs to; None for the root
     leader: BodyConfig | None  #: body that the patch follows
-    low: Pair  #: least origin in its parent
-    high: Pair  #: largest
+    frame: Frame
     patches: tuple["Level", ...]
-
-    @property
-    def size(self) -> Pair:
-        """Width and height in its own nodes."""
-        return self.config.width, self.config.height
 
     @property
     def bodies(self) -> tuple[int, ...]:
         """Numbers of the bodies that are in this grid itself."""
         return self.patch.bodies if self.patch and not self.patches else ()
+
+    @property
+    def follows(self) -> bool:
+        """Whether it is a patch that may have to move."""
+        is_free = self.leader is not None and not self.leader.motion.is_still
+        return is_free and self.patch is not None and self.patch.centre is None
+
+    @property
+    def ahead(self) -> float:
+        """How far ahead of its centre of mass the body that is followed has its middle, nodes."""
+        return self.leader.centre - 0.5 * self.leader.size if self.leader else 0.0
 
     def convert(self, params: FlowParams) -> FlowParams:
         """Return the parameters of a flow in the units of this grid."""
@@ -74,7 +88,7 @@ def plan_levels(config: FlowConfig) -> Level:
         config, width=width, height=height, sponges=sponges, bodies=(), levels=1, patches=()
     )
     patches = tuple(_plan_patch(config, patch) for patch in config.refined)
-    return Level(root, spacing, None, None, (0, 0), (0, 0), patches)
+    return Level(root, spacing, None, None, Frame((width, height), (0, 0), (0, 0)), patches)
 
 
 def _plan_patch(config: FlowConfig, patch: Patch) -> Level:
@@ -102,7 +116,8 @@ def _plan_patch(config: FlowConfig, patch: Patch) -> Level:
         )
         last = high[0] - width // 2, high[1] - height // 2
         spacing = 2 ** (len(sizes) - 1 - number)
-        inside = (Level(grid, spacing, patch, leader, low, last, inside),)
+        frame = Frame((width, height), low, last)
+        inside = (Level(grid, spacing, patch, leader, frame, inside),)
     return inside[0]
 
 
@@ -121,32 +136,33 @@ def _make_inside(
     patches = []
     for finer in level.patches:
         place = (find_point(finer, bodies, corner) - corner) / level.spacing
-        origin = place_patch(place, finer)
-        flow = FlowState(fill_all(finer.size, state.f, origin, finer.convert(params).tau))
+        origin = place_patch(place, finer.frame)
+        flow = FlowState(fill_all(finer.frame.size, state.f, origin, finer.convert(params).tau))
         own = corner + level.spacing * origin
         patches.append(PatchState(_make_inside(flow, finer, params, bodies, own), origin))
     return state._replace(patches=tuple(patches))
 
 
-def place_patch(place: Tensor, level: Level) -> Tensor:
+def place_patch(place: Tensor, frame: Frame) -> Tensor:
     """Return the origin ``[B, 2]`` of a patch around a place in its parent's nodes."""
-    half = torch.tensor(level.size, device=place.device) // 2
-    return clamp_origin((place - 0.5 * half).nan_to_num().round().long(), level.low, level.high)
+    half = torch.tensor(frame.size, device=place.device) // 2
+    return clamp_origin((place - 0.5 * half).nan_to_num().round().long(), frame.low, frame.high)
 
 
 def find_point(level: Level, bodies: Sequence[BodyState], like: Tensor) -> Tensor:
-    """Return the point ``[B, 2]`` that a patch keeps in its middle, in nodes of the finest level.
-
-    It is the middle of the body's axis, half its size behind the nose.
-    """
+    """Return the point ``[B, 2]`` that a patch keeps in its middle, in finest nodes."""
     assert level.patch is not None
     if level.leader is None or level.patch.centre is not None:
         centre = torch.tensor(level.patch.centre, dtype=torch.float64, device=like.device)
         return centre.expand(len(like), 2)
     state = bodies[level.patch.bodies[0]]
-    ahead = level.leader.centre - 0.5 * level.leader.size
-    axis = torch.stack((torch.cos(state.heading), torch.sin(state.heading)), -1)
-    return (state.position + ahead * axis).detach()
+    return find_middle(state.position, state.heading, level.ahead)
+
+
+def find_middle(position: Tensor, heading: Tensor, ahead: float) -> Tensor:
+    """Return the point ``[B, 2]`` that lies ``ahead`` of a body's centre of mass."""
+    axis = torch.stack((torch.cos(heading), torch.sin(heading)), -1)
+    return (position + ahead * axis).detach()
 
 
 def shift(state: FlowState, level: Level, params: FlowParams) -> FlowState:
@@ -164,18 +180,24 @@ def _shift_inside(
     moved = []
     state = fill_patches(state, level, params)  # what lies in the ring moves inwards
     for (flow, origin), finer in zip(state.patches, level.patches, strict=True):
-        own = corner + level.spacing * origin
-        flow = _shift_inside(flow, finer, params, bodies, own)
-        place = (find_point(finer, bodies, corner) - own) / finer.spacing
-        inside = [patch.origin for patch in flow.patches]
-        moved.append(move_patch(PatchState(flow, origin), find_shift(place, origin, inside, finer)))
+        start = corner + level.spacing * origin
+        flow = _shift_inside(flow, finer, params, bodies, start)
+        place = (find_point(finer, bodies, corner) - start) / finer.spacing
+        inside = [
+            (patch.origin, own.frame)
+            for patch, own in zip(flow.patches, finer.patches, strict=True)
+        ]
+        by = find_shift(place, origin, finer.frame, inside)
+        moved.append(move_patch(PatchState(flow, origin), by))
     return state._replace(patches=tuple(moved))
 
 
-def find_shift(place: Tensor, origin: Tensor, inside: Sequence[Tensor], level: Level) -> Tensor:
-    """Return ``choose_shift`` of a patch, as far as the origins of those inside it allow."""
-    by = choose_shift(place, origin, level.size, level.low, level.high)
-    for own, finer in zip(inside, level.patches, strict=True):
+def find_shift(
+    place: Tensor, origin: Tensor, frame: Frame, inside: Sequence[tuple[Tensor, Frame]]
+) -> Tensor:
+    """Return ``choose_shift`` of a patch, as far as those inside it allow, by their origins."""
+    by = choose_shift(place, origin, *frame)
+    for own, finer in inside:
         after = own - 2 * by
         by = torch.where(clamp_origin(after, finer.low, finer.high) == after, by, 0)
     return by

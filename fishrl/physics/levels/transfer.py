@@ -35,14 +35,14 @@ _FIRST_RESTRICTED = 4
 class Strip(NamedTuple):
     """Two layers along two opposite sides of a patch, and the rows of the parent they come from.
 
-    The outermost layer comes first; all are int64. Each layer loses a few nodes at its ends, those
-    that the other two sides fill.
+    The outermost layer comes first; nodes are int64.
     """
 
     parent_x: Tensor  #: ``[2, 4, n + 3]`` relative to the origin
     parent_y: Tensor
     x: Tensor  #: ``[2, 2, m]`` in the patch
     y: Tensor
+    crop: int  #: nodes at both ends of the layers that the other two sides fill
 
 
 def list_strips(width: int, height: int) -> list[Strip]:
@@ -56,7 +56,8 @@ def list_strips(width: int, height: int) -> list[Strip]:
         own = torch.broadcast_tensors(along, across)
         parent = torch.broadcast_tensors(parents, coarse)
         (x, y), (px, py) = (own[::-1], parent[::-1]) if crop else (own, parent)
-        strips.append(Strip(px.contiguous(), py.contiguous(), x.contiguous(), y.contiguous()))
+        px, py, x, y = (table.contiguous() for table in (px, py, x, y))
+        strips.append(Strip(px, py, x, y, crop))
     return strips
 
 
@@ -118,15 +119,14 @@ def fill(patch: Tensor, parent: Tensor, origin: Tensor, tau: Tensor) -> Tensor:
     """
     for strip in list_strips(patch.shape[-1], patch.shape[-2]):
         x, y = (_move(p, origin, axis) for axis, p in enumerate((strip.parent_x, strip.parent_y)))
-        ring = crop_ring(torch.stack(refine(read(parent, x, y), tau), 1), strip.x)
+        ring = crop_ring(torch.stack(refine(read(parent, x, y), tau), 1), strip.crop)
         patch = write(patch, strip.x.expand(len(patch), -1, -1, -1), strip.y, ring)
     return patch
 
 
-def crop_ring(values: Tensor, like: Tensor) -> Tensor:
-    """Return the layers of a ring ``[..., 2, m]`` like those of ``Strip.x``, of refined values."""
-    crop = (values.shape[-1] - like.shape[-1]) // 2
-    return values[..., :RING, crop : crop + like.shape[-1]]
+def crop_ring(values: Tensor, crop: int) -> Tensor:
+    """Return the layers ``[..., 2, m]`` of ``Strip`` of refined values."""
+    return values[..., :RING, crop : values.shape[-1] - crop]
 
 
 def fill_all(size: tuple[int, int], parent: Tensor, origin: Tensor, tau: Tensor) -> Tensor:

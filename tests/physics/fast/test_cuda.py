@@ -21,7 +21,7 @@ from torch import Tensor
 from fishrl.physics import BounceBack, Cylinder, Fish, FlowConfig, ImmersedBoundary, InPlaceSolver
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
-from fishrl.physics.fast.stepper import Stepper
+from fishrl.physics.fast.part import Repeater
 from tests.physics.flows import start_solver
 
 IS_PRETENDED = "device" in sys.modules
@@ -46,7 +46,7 @@ CASES = {
 #: Kernels of one step, launched one after the other.
 MOST_LAUNCHES = {"cylinder": 29, "free and commanded fish": 42}
 LONG = [pytest.mark.slow] if IS_PRETENDED else []
-REPLAY = Stepper._replay_  # recorded here, and nowhere else on the pretended device
+REPLAY = Repeater._replay  # recorded here, and nowhere else on the pretended device
 
 
 def make_solver(name: str, *, device: str, compile: bool) -> InPlaceSolver:
@@ -78,7 +78,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
             import triton_host
 
             triton_host.interpret()
-            patch.setattr(Stepper, "_replay_", REPLAY)
+            patch.setattr(Repeater, "_replay", REPLAY)
         yield folder
 
 
@@ -110,7 +110,7 @@ def test_flow_on_a_gpu_equals_that_on_a_cpu(name: str, parts: list[int], toleran
         assert compute_error(body.position, expected.position) < tolerance
     assert not there.is_diverged().any()
     if IS_PRETENDED:
-        for num_pairs, graph in there._batch.first.graphs.items():
+        for num_pairs, graph in there._batch.first.repeater._graphs.items():
             assert len(graph.calls) <= 2 * num_pairs * MOST_LAUNCHES[name]
 
 

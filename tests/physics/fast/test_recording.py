@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from fishrl.physics import InPlaceSolver
-from fishrl.physics.fast.part import Part
+from fishrl.physics.fast.part import Part, Repeater
 from fishrl.physics.fast.recording import record
 from fishrl.programs.configuration import CONF
 from fishrl.programs.evaluate import main as evaluate
@@ -38,7 +38,8 @@ def test_recorded_steps_equal_launched_ones_bit_for_bit(name: str, unrecorded: l
     for group in launched._batch.groups.values():
         if stepper.locate is not None:
             stepper.locate.run(*group.arguments[stepper.locate][1])
-        stepper._advance_pairs_(group, 10)
+        steps = [*stepper.list_step(group, 0), *stepper.list_step(group, 1)]
+        Repeater(steps).launch(10)
     after = launched.state_dict()
     for key, value in recorded.state_dict().items():
         assert torch.equal(value, after[key]), key

@@ -25,7 +25,7 @@ def reset_in_stream(solver: InPlaceSolver, speed: float) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda s: s.advance_(3), "num_steps = 3: must be even"),
+        (lambda s: s.advance_(3), "num_steps = 3: must be a multiple of 2"),
         (lambda s: s.command_(TURN, 1), "num_steps = 1: a turn takes at least two steps"),
         (lambda s: s.advance_(2, rows=[True]), r"rows = \[True\]: give a tensor"),
         (lambda s: s.advance_(2, rows=torch.ones(3)), "type torch.float32: give .* torch.bool"),

@@ -1,0 +1,386 @@
+"""A batch of flows with levels: one ``FlowBatch`` for each grid, and the parts between them."""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate, pad
+from torch.utils import _pytree as pytree
+
+from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.boundaries import Periodic
+from fishrl.physics.fast.batch import FlowBatch, make_fresh, name_numbers, restore_
+from fishrl.physics.fast.part import Bound, Part, Repeater, Step, compile_parts, copy_tree
+from fishrl.physics.fast.transfer_parts import (
+    Chain,
+    Moving,
+    PatchMemory,
+    Shifting,
+    make_filling,
+    make_restriction,
+    make_shift_choice,
+)
+from fishrl.physics.flow import FlowConfig
+from fishrl.physics.geometry import locate_markers
+from fishrl.physics.levels.grids import Level, find_point, place_patch, plan_levels
+from fishrl.physics.levels.patch import RING
+
+Allocate = Callable[[int], Tensor]
+Calls = list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]
+
+
+@dataclass
+class Grid:
+    """One grid of all flows, and what passes between it and its parent."""
+
+    level: Level
+    batch: FlowBatch
+    origin: Tensor  #: ``[B, 2]`` int64, of a patch in its parent; the root's is 0
+    parent: "Grid | None"
+    inside: list["Grid"] = field(default_factory=list)
+    transfers: tuple[Part, ...] = ()  #: filling, restriction in each step, and that of all nodes
+
+    def walk(self) -> Iterator["Grid"]:
+        """Yield this grid and all inside it, coarser ones first."""
+        yield self
+        for patch in self.inside:
+            yield from patch.walk()
+
+    def find_corner(self) -> Tensor:
+        """Return the place ``[B, 2]`` of the first node, in nodes of the finest level."""
+        if self.parent is None:
+            return self.origin
+        return self.parent.find_corner() + self.parent.level.spacing * self.origin
+
+    def bind(self, part: Part, number: int) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
+        """Return a transfer's arguments for a group, before even and odd steps of the parent."""
+        assert self.parent is not None
+        origin = self.origin[self.batch.rows_of(number)]
+        parent = self.parent.batch.memory_of(number)
+        return part.bind(PatchMemory(self.batch.memory_of(number), parent, origin))
+
+
+class RefinedBatch:
+    """Flows with levels in memory; see ``FlowBatch`` for arguments, methods and attributes.
+
+    Between advances ``flow`` has all numbers, in nodes and steps of the finest level. An advance
+    hands them to the grids, bodies with positions in their patches, and takes them back.
+    """
+
+    def __init__(
+        self,
+        configs: Sequence[FlowConfig],
+        *,
+        group_size: int,
+        device: torch.device,
+        allocate: Allocate,
+        groups: range | None = None,
+    ) -> None:
+        self._config = configs[0]
+        self._settings = {"group_size": group_size, "device": device, "groups": groups}
+        self._fresh = make_fresh(configs, device)
+        self.flow = pytree.tree_map(
+            lambda t: t.clone(memory_format=torch.contiguous_format), self._fresh
+        )
+        self._root = self._add([plan_levels(config) for config in configs], None, allocate)
+        self._grids = list(self._root.walk())
+        self.groups = self._root.batch.groups
+        self._arguments = {
+            (part, number): grid.bind(part, number)
+            for grid in self._grids[1:]
+            for part in grid.transfers
+            for number in self.groups
+        }
+        self._moving = [list(top.walk()) for top in self._root.inside if top.level.follows]
+        self._choices = [make_shift_choice([g.level for g in chain]) for chain in self._moving]
+        self._steps = {number: self._list_pair(number) for number in self.groups}
+        self._repeaters = {number: Repeater(steps) for number, steps in self._steps.items()}
+
+    def _add(self, levels: Sequence[Level], parent: Grid | None, allocate: Allocate) -> Grid:
+        """Make a grid of all flows, of which ``levels`` are their own, and those inside it."""
+        configs = [level.config for level in levels]
+        batch = FlowBatch(configs, allocate=allocate, **self._settings)  # type: ignore[arg-type]
+        origin = allocate(16 * len(configs)).view(torch.int64).view(-1, 2)
+        grid = Grid(levels[0], batch, origin, parent)
+        if parent is not None:
+            size = levels[0].frame.size
+            whole = [make_restriction(*size, is_whole=is_whole) for is_whole in (False, True)]
+            grid.transfers = (make_filling(*size), *whole)
+        for number in range(len(levels[0].patches)):
+            inside = [level.patches[number] for level in levels]
+            grid.inside.append(self._add(inside, grid, allocate))
+        return grid
+
+    def _list_pair(self, number: int) -> list[tuple[Step, Sequence[Tensor]]]:
+        """Return what an even and an odd step of the coarsest level consist of."""
+        size = len(self._root.batch.first.nodes[0])
+        block = torch.zeros(len(self._grids), size, 2, dtype=torch.int64)
+        by = iter(block)
+        chains = [
+            Chain([_find_moving(grid, number, next(by)) for grid in chain])
+            for chain in self._moving
+        ]
+        bound = zip(self._choices, chains, strict=True)
+        choices = [(part, part.bind(chain)) for part, chain in bound]
+        located = list(self._list_located(number))
+        steps: list[tuple[Step, Sequence[Tensor]]] = []
+        for parity in (0, 1):
+            steps += [(part, arguments[parity]) for part, arguments in choices]
+            fills = [
+                (grid.transfers[0], self._arguments[grid.transfers[0], number][at])
+                for grid in self._grids[1:]
+                for at in [parity if grid.parent is self._root else 0]
+            ]
+            if chains:
+                steps.append((Shifting(chains, block, fills, located), ()))
+            steps += self._list_step(self._root, number, parity)
+        return steps
+
+    def _list_step(self, grid: Grid, number: int, parity: int) -> list[Bound]:
+        """Return the parts of a step of a grid, and of two of those inside it."""
+        filled = [(g.transfers[0], self._arguments[g.transfers[0], number]) for g in grid.inside]
+        taken = [(g.transfers[1], self._arguments[g.transfers[1], number]) for g in grid.inside]
+        steps = [(part, arguments[parity]) for part, arguments in filled]
+        steps += grid.batch.stepper.list_step(grid.batch.groups[number], parity)
+        for patch in grid.inside:
+            for half in (0, 1):
+                steps += self._list_step(patch, number, half)
+        return steps + [(part, arguments[1 - parity]) for part, arguments in taken]
+
+    def _list_located(self, number: int) -> Iterator[Bound]:
+        for grid in self._grids:
+            stepper, group = grid.batch.stepper, grid.batch.groups[number]
+            if stepper.locate is not None:
+                yield stepper.locate, group.arguments[stepper.locate][1]
+
+    def _list_transfers(self) -> list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]:
+        """Return the parts between grids with the first group's arguments."""
+        first = next(iter(self.groups))
+        own = [(part, args) for (part, number), args in self._arguments.items() if number == first]
+        by = torch.zeros_like(self._root.origin[: len(self._root.batch.first.nodes[0])])
+        chains = [Chain([_find_moving(g, first, by) for g in chain]) for chain in self._moving]
+        bound = zip(self._choices, chains, strict=True)
+        return [*own, *((part, part.bind(chain)) for part, chain in bound)]
+
+    def compile(self, *, with_check: bool, helps: bool = False) -> None:
+        """Compile all parts of all grids."""
+        for grid in reversed(self._grids):
+            grid.batch.compile(with_check=with_check, helps=helps)
+        compile_parts([(part, args[0]) for part, args in self._list_transfers()], helps=helps)
+
+    def compile_check(self) -> None:
+        """Compile the checks, and what it takes to read the flows."""
+        for grid in self._grids:
+            grid.batch.compile_check()
+
+    def is_new(self) -> bool:
+        """Return whether ``compile`` would put new code on the disk."""
+        own = any(grid.batch.is_new() for grid in self._grids)
+        return own or not all(part.is_stored(args[0]) for part, args in self._list_transfers())
+
+    def list_calls(self) -> Calls:
+        """Return the parts of all grids, and those between them."""
+        own = [call for grid in self._grids for call in grid.batch.list_calls()]
+        return [*own, *self._list_transfers()]
+
+    def initialise_(self) -> None:
+        """Write the initial parameters, bodies at rest and relaxation rates."""
+        copy_tree(self.flow, self._fresh)
+        self.before_()
+        for grid in self._grids:
+            grid.batch.set_omega_()
+        self._place_(torch.ones_like(self.flow.clock, dtype=torch.bool))
+
+    def _place_(self, rows: Tensor) -> None:
+        """Put the patches of some flows around their bodies."""
+        for grid in self._grids[1:]:
+            assert grid.parent is not None
+            origin = self._find_origin(grid, self.flow.bodies)
+            grid.origin.copy_(torch.where(rows[:, None], origin, grid.origin))
+
+    def _find_origin(self, grid: Grid, bodies: Sequence[BodyState]) -> Tensor:
+        """Return the origin ``[B, 2]`` of a patch around its body, in its parent as it lies."""
+        assert grid.parent is not None
+        point = find_point(grid.level, bodies, self.flow.clock)
+        place = (point - grid.parent.find_corner()) / grid.parent.level.spacing
+        return place_patch(place, grid.level.frame)
+
+    def check_places(self, bodies: Sequence[BodyState], rows: Tensor) -> None:
+        """Raise ValueError for bodies in ``rows`` ``[B]`` whose patches would overlap."""
+        tops = [(grid, self._find_origin(grid, bodies)) for grid in self._root.inside]
+        near = self._find_overlap(tops) & rows
+        if near.any():
+            unit = self._root.level.spacing
+            sizes = [(unit * (w // 2), unit * (h // 2)) for w, h in _list_sizes(tops)]
+            raise ValueError(
+                f"flow {int(near.int().argmax())}: patches of {sizes} nodes overlap; move the "
+                "bodies apart, take fewer levels, or give FlowConfig(patches=...) one that holds "
+                "them together"
+            )
+
+    def _find_overlap(self, tops: Sequence[tuple[Grid, Tensor]]) -> Tensor:
+        """Return ``[B]``: whether patches of the root at given origins share nodes or read them."""
+        found = torch.zeros_like(self.flow.clock, dtype=torch.bool)
+        for (one, at), (other, there) in combinations(tops, 2):
+            (w, h), (v, g) = _list_sizes([(one, at), (other, there)])
+            gap = at - there
+            x = (gap[:, 0] < v // 2 + RING) & (gap[:, 0] > -(w // 2) - RING)
+            y = (gap[:, 1] < g // 2 + RING) & (gap[:, 1] > -(h // 2) - RING)
+            found |= x & y
+        return found
+
+    def before_(self) -> None:
+        """Hand numbers and bodies to the grids."""
+        for grid in self._grids:
+            own, level = grid.batch.flow, grid.level
+            own.clock.copy_(self.flow.clock / level.spacing)
+            copy_tree(own.params, level.convert(self.flow.params))
+            for index, body in zip(level.bodies, own.bodies, strict=True):
+                copy_tree(body, self.flow.bodies[index])
+                body.position.sub_(grid.find_corner())
+
+    def after_(self, wanted: Collection[int]) -> None:
+        """Take the numbers of some groups back from the grids."""
+        for number in wanted:
+            rows = self._root.batch.rows_of(number)
+            clock = self._root.batch.flow.clock[rows] * self._root.level.spacing
+            self.flow.clock[rows] = clock
+            for grid in self._grids:
+                corner = grid.find_corner()[rows]
+                pairs = zip(grid.level.bodies, grid.batch.flow.bodies, strict=True)
+                for index, body in pairs:
+                    for own, new in zip(self.flow.bodies[index], body, strict=True):
+                        own[rows] = new[rows]
+                    self.flow.bodies[index].position[rows] += corner
+
+    def advance_(self, num_steps: int, wanted: Collection[int]) -> None:
+        """Advance the wanted groups, as far as they belong to this process."""
+        num_pairs = num_steps // self._root.level.spacing // 2
+        for number in self.groups:
+            if number in wanted and num_pairs:
+                for part, tensors in self._list_located(number):
+                    part.run(*tensors)
+                self._repeaters[number].run(num_pairs)
+                # what is read or stored is valid everywhere
+                whole = [grid.transfers[2] for grid in reversed(self._grids[1:])]
+                filled = [grid.transfers[0] for grid in self._grids[1:]]
+                for part in (*whole, *filled):
+                    part.run(*self._arguments[part, number][0])
+
+    def fill_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
+        """Set all nodes of the flows in ``rows`` ``[B]`` to populations ``[B]``; place patches."""
+        for grid in self._grids:
+            grid.batch.fill_(rows, f)
+        self._place_(rows)
+
+    def is_fine(self) -> Tensor:
+        """Return ``[B]``: density and speed are within the method, and bodies in their patches."""
+        fine = ~self._find_overlap([(grid, grid.origin) for grid in self._root.inside])
+        for grid in self._grids:
+            fine = fine & grid.batch.is_fine()
+        reach = RING + self._config.skin.margin
+        for grid in self._grids:
+            low, size = grid.find_corner(), grid.level.frame.size
+            high = low + torch.tensor(size, device=low.device) - 1
+            for index in grid.level.bodies:
+                outline = locate_markers(self.flow.params.bodies[index], self.flow.bodies[index])
+                inside = (outline > (low + reach)[:, None]) & (outline < (high - reach)[:, None])
+                fine = fine & inside.flatten(1).all(-1)
+        return fine
+
+    def is_lost(self) -> Tensor:
+        """Return ``[B]``: the middle of a grid is not finite."""
+        lost = [grid.batch.is_lost() for grid in self._grids]
+        return torch.stack(lost).any(0)
+
+    def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Read density and velocity at points, on the finest grid that holds each."""
+        rho, u = self._root.batch.sample(points / self._root.level.spacing)
+        for grid in self._grids[1:]:
+            own = (points - grid.find_corner()[:, None]) / grid.level.spacing
+            last = torch.tensor(grid.level.frame.size, device=own.device) - 1 - RING
+            inside = ((own >= RING) & (own <= last)).all(-1)
+            values = grid.batch.sample(own)
+            rho = torch.where(inside, values[0], rho)
+            u = torch.where(inside[..., None], values[1], u)
+        return rho, u
+
+    def macroscopic(self) -> tuple[Tensor, Tensor]:
+        """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]`` at nodes of the finest level.
+
+        Between the nodes of coarser levels they are linear.
+        """
+        field = _read_fields(self._root)
+        edges = self._config.boundaries
+        wraps = isinstance(edges.left, Periodic), isinstance(edges.bottom, Periodic)
+        field = pad(field, (0, int(wraps[0]), 0, int(wraps[1])), mode="circular")
+        field = _refine_field(field, self._root.level.spacing)
+        field = field[:, :, : self._config.height, : self._config.width]
+        for grid in self._grids[1:]:
+            own = _read_fields(grid)[:, :, RING:-RING, RING:-RING]
+            own = _refine_field(own, grid.level.spacing)
+            corner = grid.find_corner() + RING * grid.level.spacing
+            for row, (x, y) in enumerate(corner.tolist()):
+                field[row, :, y : y + own.shape[2], x : x + own.shape[3]] = own[row]
+        return field[:, 0], field[:, 1:]
+
+    def name_state(self) -> dict[str, list[Tensor]]:
+        """Return everything that the future depends on, as ``FlowBatch.name_state``."""
+        named = name_numbers(self.flow)
+        for number, grid in enumerate(self._grids):
+            own = grid.batch.name_populations()
+            own |= {"origin": [grid.origin]} if number else {}
+            named |= {f"patch {number} {name}" if number else name: v for name, v in own.items()}
+        return named
+
+    def load_state_(self, state: Mapping[str, Tensor]) -> None:
+        """Restore the tensors of ``name_state``."""
+        restore_(self.name_state(), state)
+
+
+def _find_moving(grid: Grid, number: int, by: Tensor) -> Moving:
+    own = grid.batch.memory_of(number)
+    origin = grid.origin[grid.batch.rows_of(number)]
+    return Moving(own.incoming(0), origin, by, own.flow.bodies)
+
+
+def _list_sizes(grids: Sequence[tuple[Grid, Tensor]]) -> list[tuple[int, int]]:
+    return [grid.level.frame.size for grid, _ in grids]
+
+
+def _read_fields(grid: Grid) -> Tensor:
+    """Return density and velocity of a grid ``[B, 3, Y, X]``."""
+    rho, u = grid.batch.macroscopic()
+    return torch.cat((rho[:, None], u), 1)
+
+
+def _refine_field(values: Tensor, factor: int) -> Tensor:
+    """Return values ``[B, C, Y, X]`` at ``factor`` times as many nodes, linear between theirs."""
+    height, width = (factor * (n - 1) + 1 for n in values.shape[-2:])
+    if factor == 1:
+        return values.clone()
+    return interpolate(values, size=(height, width), mode="bilinear", align_corners=True)
+
+
+def make_batch(
+    configs: Sequence[FlowConfig],
+    *,
+    group_size: int,
+    device: torch.device,
+    allocate: Allocate,
+    groups: range | None = None,
+) -> FlowBatch | RefinedBatch:
+    """Return the batch of flows with one level, or with more.
+
+    Raises:
+        ValueError: for levels on a GPU, whose host would have to wait to see which patch moves.
+    """
+    kind = FlowBatch if configs[0].levels == 1 else RefinedBatch
+    if kind is RefinedBatch and device.type != "cpu":
+        raise ValueError(
+            f"levels = {configs[0].levels} on {device}: levels run on a CPU; give device=cpu, or "
+            "levels=1"
+        )
+    return kind(configs, group_size=group_size, device=device, allocate=allocate, groups=groups)

@@ -1,0 +1,174 @@
+"""Levels in place: the same numbers as readable steps, and all that a solver reads and restores."""
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from fishrl.physics import (
+    BounceBack,
+    Boundaries,
+    Cylinder,
+    Fish,
+    FlowConfig,
+    Free,
+    ImmersedBoundary,
+    InPlaceSolver,
+    Patch,
+    Scales,
+    Skin,
+    Sponge,
+)
+from fishrl.physics.flow import FlowState, make_params, make_rest
+from fishrl.physics.levels.grids import make_patches
+from tests.physics.flows import advance, read_bodies, start_solver
+
+TAU = Scales(body_length=16, reynolds=400.0, period=184).tau
+FISH = Fish(body_length=16, motion=Free())
+TOGETHER = Patch(bodies=(0, 1), size=(90, 60), centre=(80.0, 48.0))
+
+
+def make_config(**changes: Any) -> FlowConfig:
+    given = {"width": 161, "height": 97, "tau": TAU, "bodies": (FISH,), "levels": 2}
+    return FlowConfig(**given | changes)
+
+
+def start(config: FlowConfig, num_envs: int = 1, **settings: Any) -> InPlaceSolver:
+    """Return a solver whose fish swims fast enough for patches to move at once."""
+    steps = torch.arange(num_envs, dtype=torch.float64)[:, None]
+    first = torch.tensor([[80.3, 0.5 * config.height]], dtype=torch.float64)
+    places = [first - torch.cat((7.0 * steps, 0.0 * steps), 1)]
+    places += [places[0] + torch.tensor([[20.0, 0.5]])] * (len(config.bodies) - 1)
+    heading = math.pi - 0.4 * steps.expand(-1, len(config.bodies))
+    solver = start_solver(config, torch.stack(places, 1), heading, frequency=1.5 / 184, **settings)
+    solver.body.velocity.copy_(torch.tensor([[-0.2, 0.1]]))
+    return solver
+
+
+def read(solver: InPlaceSolver) -> FlowState:
+    """Return the state of a solver at rest for readable steps."""
+    bodies, clock = read_bodies(solver), torch.zeros(solver.num_envs, dtype=torch.float64)
+    state = FlowState(make_rest(solver.config, solver.num_envs), bodies, clock)
+    return make_patches(state, solver.config, make_params(solver.configs))
+
+
+@pytest.mark.parametrize(
+    ("changes", "skin"),
+    [
+        ({}, BounceBack()),
+        ({}, ImmersedBoundary()),
+        ({"levels": 3, "width": 257, "height": 193}, BounceBack()),
+        ({"bodies": (FISH, Cylinder(diameter=10)), "patches": (TOGETHER,)}, BounceBack()),
+        (
+            {
+                "boundaries": Boundaries.make_stream(),
+                "stream_speed": 0.05,
+                "ramp_steps": 30,
+                "sponges": (Sponge(length=20),),
+            },
+            BounceBack(),
+        ),
+    ],
+)
+def test_levels_in_place_equal_readable_steps(changes: dict[str, Any], skin: Skin) -> None:
+    config = make_config(**changes, skin=skin)
+    solver = start(config, 2)
+    exact = read(solver)
+    origin = exact.patches[0].origin
+    solver.advance_(6 * 2**config.levels)
+    exact = advance(exact, config, 12)
+    root, patch, *_ = solver._batch._grids
+    can_move = isinstance(skin, BounceBack) and not config.patches
+    assert bool((exact.patches[0].origin != origin).any()) == can_move
+    assert torch.equal(patch.origin, exact.patches[0].origin)
+    assert (root.batch.populations() - exact.f).abs().max() < 2e-7
+    inside = [f[..., 2:-2, 2:-2] for f in (patch.batch.populations(), exact.patches[0].flow.f)]
+    assert (inside[0] - inside[1]).abs().max() < 2e-7
+    for body, expected in zip(solver.bodies, exact.bodies, strict=True):
+        torch.testing.assert_close(body.position, expected.position, rtol=0.0, atol=1e-5)
+        torch.testing.assert_close(body.work, expected.work, rtol=1e-4, atol=1e-6)
+    assert not solver.is_diverged().any()
+
+
+def test_restored_flows_continue_bit_for_bit_in_this_process_or_another() -> None:
+    config = make_config()
+    first = start(config, 2)
+    first.advance_(40)
+    saved = first.state_dict()
+    first.advance_(40)
+    for settings in ({}, {"num_workers": 2}, {"flows_per_launch": 2}):
+        second = start(config, 2, **settings)
+        second.load_state_dict(saved)
+        second.advance_(40)
+        pairs = zip(first.state_dict().items(), second.state_dict().values(), strict=True)
+        assert [name for (name, one), other in pairs if not torch.equal(one, other)] == []
+        second.close()
+
+
+def test_only_chosen_rows_advance() -> None:
+    solver = start(make_config(), 2)
+    solver.advance_(40)
+    before = solver.state_dict()
+    solver.advance_(8, torch.tensor([True, False]))
+    for name, value in solver.state_dict().items():
+        assert torch.equal(value[1], before[name][1]), name
+    assert solver._batch.flow.clock.tolist() == [48.0, 40.0]
+
+
+def test_fields_and_samples_agree_on_all_levels() -> None:
+    solver = start(make_config())
+    solver.advance_(80)
+    rho, u = solver.macroscopic()
+    assert rho.shape == (1, 97, 161) and u.shape == (1, 2, 97, 161)
+    nodes = torch.tensor([[[80, 60], [20, 10], [85, 48], [150, 90]]])
+    x, y = nodes[0].unbind(-1)
+    at, speed = solver.sample(nodes.double())
+    torch.testing.assert_close(at[0], rho[0, y, x])
+    torch.testing.assert_close(speed[0], u[0, :, y, x].T)
+    assert solver.sample(torch.full((1, 1, 2), torch.nan))[0].isnan().all()
+
+
+def test_patches_that_meet_are_refused_and_end_their_flow() -> None:
+    config = make_config(bodies=(FISH, FISH), width=321)
+    solver = InPlaceSolver(config=config, num_envs=1, compile=False, num_workers=0)
+    every, heading = torch.ones(1, dtype=torch.bool), torch.tensor([[math.pi, math.pi]])
+    near = torch.tensor([[[80.0, 48.0], [120.0, 48.0]]])
+    with pytest.raises(ValueError, match="patches of"):
+        solver.reset_(every, near, heading)
+    near[0, 1, 0] = 150.0
+    solver.reset_(every, near, heading)
+    assert not solver.is_diverged().any()
+    solver._batch._grids[1].origin[0, 0] += 20
+    assert solver.is_diverged().all()
+
+
+def test_reset_puts_patches_around_the_new_place() -> None:
+    solver = start(make_config(), 2)
+    solver.advance_(40)
+    before = solver._batch._grids[1].origin.clone()
+    rows = torch.tensor([False, True])
+    solver.reset_(rows, torch.tensor([[0.0, 0.0], [100.0, 40.0]]), torch.zeros(2))
+    origin = solver._batch._grids[1].origin
+    assert torch.equal(origin[0], before[0]) and not torch.equal(origin[1], before[1])
+    solver.advance_(8)
+    assert not solver.is_diverged().any()
+
+
+@pytest.mark.parametrize("call", ["populations", "set_populations_"])
+def test_one_tensor_of_populations_is_refused(call: str) -> None:
+    solver = start(make_config())
+    f: Tensor = make_rest(solver.config, 1)
+    with pytest.raises(ValueError, match="state_dict"):
+        solver.populations() if call == "populations" else solver.set_populations_(f)
+
+
+@pytest.mark.compile
+def test_compiled_levels_equal_eager_ones() -> None:
+    compiled, eager = (start(make_config(), compile=compile) for compile in (True, False))
+    for solver in (compiled, eager):
+        solver.advance_(40)
+    pairs = zip(compiled.state_dict().items(), eager.state_dict().values(), strict=True)
+    for (name, one), other in pairs:
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=2e-6, msg=name)
