@@ -113,8 +113,10 @@ def _make_bounce_back(
             body.surplus.copy_(state.surplus)
             body.slip_impulse.copy_(state.slip_impulse)
 
-    contact = Part("contact", collect, locate, BODY_SETTINGS, any_grid=True)
-    reflection = Part("reflection", collect, reflect, BODY_SETTINGS, any_grid=True)
+    # what all four families of links read is kept: contact 3 us instead of 8 with one fish
+    settings = BODY_SETTINGS | {"cpu": BODY_SETTINGS["cpu"] | {"realize_opcount_threshold": 6}}
+    contact = Part("contact", collect, locate, settings, any_grid=True)
+    reflection = Part("reflection", collect, reflect, settings, any_grid=True)
     uncovering = Part("uncovering", collect, uncover, BODY_SETTINGS, any_grid=True)
     moving = [] if config.is_still else [contact, uncovering]
     return SkinParts(contact, [reflection, *moving])

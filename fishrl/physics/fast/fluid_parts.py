@@ -106,7 +106,13 @@ def make_edges(
                 views.edge[q].copy_(values)
 
     # on a GPU the stream's speed is not worth a kernel of its own
-    settings = {"cuda": {"realize_reads_threshold": 16, "realize_opcount_threshold": 1000}}
+    settings = {
+        "cuda": {
+            "combo_kernels": True,
+            "realize_reads_threshold": 16,
+            "realize_opcount_threshold": 1000,
+        }
+    }
     name = f"edges {[side.name for side, _ in sides]}"
     return Part(name, collect, act, settings, any_grid=True)
 
