@@ -73,7 +73,7 @@ class ToyPredation:
         return tuple(Sense(name, both, lambda now: now["heading"]) for name in self.critic_observes)
 
     def flow_config(self) -> SimpleNamespace:
-        return SimpleNamespace(width=100, height=50, num_bytes=0)
+        return SimpleNamespace(updates_per_step=5000, num_bytes=0)
 
     def sample_starts(self, num: int, generator: torch.Generator) -> TensorDict:
         draw = torch.rand(num, 2, generator=generator)
