@@ -54,9 +54,9 @@ class FlowEnv(EnvBase):
 
     A row that terminates within an action keeps the measurement of that moment and does not advance
     to the end of the action (on a GPU its flow continues unread). A row has diverged if it is not
-    finite or too fast for the method, or if the fish has left the grid. It is then truncated with
-    reward 0, with ``diverged`` set and with the observation of the last decision; it is counted and
-    reset without affecting other rows.
+    finite or too fast for the method, if a body has left the grid, or if bodies overlap. It is then
+    truncated with reward 0, with ``diverged`` set and with the observation of the last decision; it
+    is counted and reset without affecting other rows.
 
     Args:
         task: the task.
@@ -223,8 +223,9 @@ class FlowEnv(EnvBase):
         if diverged.any():
             rows = diverged.nonzero().squeeze(-1).tolist()
             self.num_diverged += len(rows)
+            meet = " (bodies overlap)" if (diverged & self.solver.overlaps).any() else ""
             logger.warning(
-                "flows %s diverged and were truncated; %d so far", rows, self.num_diverged
+                "flows %s diverged%s and were truncated; %d so far", rows, meet, self.num_diverged
             )
         terminated = self.task.is_terminated(self.now) & ~diverged
         is_lost = diverged.view(-1, *(1,) * (len(self._shape) - 1))

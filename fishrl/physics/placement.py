@@ -1,4 +1,4 @@
-"""Whether bodies lie apart from each other and within the grid: checked when they are placed."""
+"""Whether bodies lie apart from each other and within the grid: when placed, and as they move."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -60,6 +60,9 @@ def spread_starts(
 ) -> tuple[Tensor, Tensor]:
     """Return positions ``[B, M, 2]`` and headings ``[B, M]`` of all bodies, float64."""
     shape = num_envs, max(1, len(config.bodies))
+    for name, value, wanted in (("position", position, (*shape, 2)), ("heading", heading, shape)):
+        if not isinstance(value, Tensor | None):
+            raise ValueError(f"{name} = {value!r}: give a tensor of shape {wanted}")
     middle = torch.tensor([0.5 * config.width, 0.5 * config.height]).expand(*shape, 2)
     position = middle if position is None else position
     heading = torch.zeros(shape) if heading is None else heading
@@ -95,6 +98,43 @@ def do_overlap(one: Tensor, other: Tensor) -> Tensor:
     """Return ``[B]`` bool: whether closed outlines ``[B, N, 2]`` touch or contain each other."""
     is_near = (torch.cdist(one, other) < MIN_GAP).flatten(1).any(-1)
     return is_near | _contains(one, other).any(-1) | _contains(other, one).any(-1)
+
+
+def find_overlaps(outlines: Sequence[Tensor]) -> Tensor:
+    """Return ``[B]`` bool: whether any two closed outlines ``[B, N, 2]`` lie in each other.
+
+    On a CPU those whose boxes lie apart take no further time; on a GPU the host does not wait.
+    """
+    found = torch.zeros_like(outlines[0][:, 0, 0], dtype=torch.bool)
+    for one, other in combinations(outlines, 2):
+        is_apart = (one.amin(1) > other.amax(1)) | (other.amin(1) > one.amax(1))
+        if found.is_cuda or not is_apart.any(-1).all():
+            found = found | _contains(one, other).any(-1) | _contains(other, one).any(-1)
+    return found
+
+
+def find_water(outlines: Sequence[Tensor], config: FlowConfig, water: Tensor) -> Tensor:
+    """Return ``[B, Y, X]`` bool: those nodes of ``water`` that lie inside no sharp skin."""
+    for outline in () if config.skin.has_water_inside else outlines:
+        water = water & ~_find_covered(outline, config.width, config.height)
+    return water
+
+
+def _find_covered(outline: Tensor, width: int, height: int) -> Tensor:
+    """Return ``[B, Y, X]`` bool: the nodes inside a closed outline ``[B, N, 2]`` of short segments.
+
+    Along each row of nodes those inside lie behind an odd number of segments that cross the row.
+    """
+    (x, y), (x1, y1) = outline.unbind(-1), outline.roll(-1, 1).unbind(-1)
+    row = torch.maximum(y.floor(), y1.floor())
+    crosses = y.floor() != y1.floor()
+    at = x + (x1 - x) * (row - y) / torch.where(crosses, y1 - y, 1.0)
+    is_near = crosses & (row >= 0) & (row < height) & (at < width)
+    first = at.nan_to_num(0.0).ceil().clamp(0, width - 1)
+    node = torch.where(is_near, row * width + first, 0.0).long()
+    count = torch.zeros(len(outline), height * width, dtype=torch.int64, device=outline.device)
+    count.scatter_add_(1, node, is_near.long())
+    return count.view(-1, height, width).cumsum(-1) % 2 == 1
 
 
 def _contains(outline: Tensor, points: Tensor) -> Tensor:

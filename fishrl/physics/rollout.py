@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 from torch.utils.checkpoint import checkpoint
 
+from fishrl.physics.fast.checks import check_commands
 from fishrl.physics.fast.compiled import compile_differentiable
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, make_params
 from fishrl.physics.step import step
@@ -74,7 +75,8 @@ def simulate(
 
     Raises:
         ValueError: for numbers of steps that do not fit together, populations of another type,
-            more memory than ``max_bytes``, or ``compile`` within a transform of ``torch.func``.
+            more memory than ``max_bytes``, ``compile`` within a transform of ``torch.func``, and
+            commands as ``InPlaceSolver.command_``, except within such a transform.
     """
     unit = config.coarsest_spacing
     interval = unit if interval == 1 else interval
@@ -95,7 +97,8 @@ def simulate(
                 f"the gradient, max_bytes allows {max_bytes / 1e9:.3g}: give fewer steps, flows or "
                 "nodes, or float32"
             )
-    if compile and torch._C._functorch.peek_interpreter_stack() is not None:
+    is_transformed = torch._C._functorch.peek_interpreter_stack() is not None
+    if compile and is_transformed:
         raise ValueError("compile = True: torch.func cannot see into it; give compile = False")
     advance_once = _compile_step if compile else step
     if compile:
@@ -109,6 +112,8 @@ def simulate(
         for number in range(first, last):
             if control is not None:
                 state = control(number, state)
+            if not is_transformed:
+                check_commands([config] * len(state.f), state.bodies)
             for _ in range(interval // unit):
                 state = advance_once(state, config, params)
             if record is not None:

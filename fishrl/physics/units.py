@@ -21,17 +21,19 @@ MAX_WALL_SPEED = 0.15
 DEFAULT_WALL_SPEED = 0.07
 
 
-def check_tau(tau: float) -> None:
-    """Raise if ``tau`` lies outside the validated range."""
+def check_tau(tau: float, *, given: tuple[str, str, str] | None = None) -> None:
+    """Raise if ``tau`` lies outside the validated range.
+
+    ``given`` names the settings that it follows from: two to raise for a larger one, one to lower.
+    """
     if not MIN_TAU <= tau <= MAX_TAU:
-        raise ValueError(
-            f"tau = {tau:.5f} lies outside the validated range [{MIN_TAU}, {MAX_TAU}]: "
-            + (
-                "raise body_length, raise max_wall_speed or lower reynolds"
-                if tau < MIN_TAU
-                else "lower body_length, lower max_wall_speed or raise reynolds"
-            )
-        )
+        up, down = ("raise", "lower") if tau < MIN_TAU else ("lower", "raise")
+        remedy = f"{up} it; compute_tau gives that of a Reynolds number"
+        if given is not None:
+            length, speed, reynolds = given
+            remedy = f"{up} {length}, {up} {speed} or {down} {reynolds}"
+        allowed = f"[{MIN_TAU}, {MAX_TAU}]"
+        raise ValueError(f"tau = {tau:.5f} lies outside the validated range {allowed}: {remedy}")
 
 
 def compute_tau(*, length: float, speed: float, reynolds: float) -> float:
@@ -50,7 +52,7 @@ def compute_tau(*, length: float, speed: float, reynolds: float) -> float:
             f"length, speed, reynolds = {length}, {speed}, {reynolds}: must be positive"
         )
     tau = 3.0 * speed * length / reynolds + 0.5
-    check_tau(tau)
+    check_tau(tau, given=("length", "speed", "reynolds"))
     return tau
 
 
@@ -82,7 +84,7 @@ class Scales(Settings):
                 f"{name} = {fastest:.3f} nodes per step (Mach {fastest * 3**0.5:.2f}) > "
                 f"{MAX_WALL_SPEED}: raise period or lower max_wall_speed"
             )
-        check_tau(self.tau)
+        check_tau(self.tau, given=("body_length", "max_wall_speed", "reynolds"))
 
     @classmethod
     def from_budget(

@@ -106,8 +106,13 @@ def _keep_bounds(inherited: FieldInfo, given: Any) -> FieldInfo:
     return typing.cast(FieldInfo, info)
 
 
-def _check_init(self: Any, /, **values: Any) -> None:
+def _check_init(self: Any, /, *unnamed: Any, **values: Any) -> None:
     """Check and set the fields: the constructor of all settings."""
+    if unnamed:
+        entries = sorted(list_fields(type(self)), key=lambda entry: entry.default is not REQUIRED)
+        named = (f"{entry.name}={value!r}" for entry, value in zip(entries, unnamed, strict=False))
+        name = type(self).__name__
+        raise TypeError(f"{name} takes its settings by name, such as {name}({', '.join(named)})")
     lines: dict[str, str] = {}
     for name, value in values.items():
         try:

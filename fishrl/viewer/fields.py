@@ -6,6 +6,7 @@ Needs the extra ``export``, whose packages are imported on use.
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import quoteattr
@@ -32,19 +33,23 @@ def read_fields(solver: InPlaceSolver, scales: Scales) -> dict[str, Tensor]:
     """Return the current state of B flows in units of L and T, for ``make_dataset``.
 
     Returns:
-        ``time`` ``[B]``, the fields of ``FIELDS`` ``[B, Y, X]``, and ``outline_0``, ``outline_1``,
-        ... ``[B, N, 2]`` of the bodies.
+        ``time`` ``[B]``, the fields of ``FIELDS`` ``[B, Y, X]``, NaN inside sharp skins, and
+        ``outline_0``, ``outline_1``, ... ``[B, N, 2]`` of the bodies.
     """
     length, period = scales.body_length, scales.period
     rho, u = solver.macroscopic()
+    water = solver.find_water()
     speed = length / period
     bodies = range(len(solver.bodies))
-    return {
-        "time": solver.body.age / period,
+    fields = {
         "u": u[:, 0] / speed,
         "v": u[:, 1] / speed,
         "p": compute_pressure(rho) / speed**2,
-        "vorticity": compute_vorticity(u) * period,
+        "vorticity": compute_vorticity(u, is_water=water) * period,
+    }
+    return {
+        "time": solver.body.age / period,
+        **{name: values.masked_fill(~water, nan) for name, values in fields.items()},
         **{f"outline_{body}": solver.markers(body) / length for body in bodies},
     }
 

@@ -1,4 +1,4 @@
-"""Bodies that lie in each other or beyond the grid at the start are refused."""
+"""Bodies that lie in each other or beyond the grid are refused, or named as they come to it."""
 
 from math import pi
 
@@ -12,11 +12,14 @@ from fishrl.physics import (
     Driven,
     Ellipse,
     Fish,
+    Fixed,
     FlowConfig,
+    Free,
     ImmersedBoundary,
     InPlaceSolver,
     Skin,
 )
+from fishrl.physics.bodies.motion import Motion
 from fishrl.physics.cases import PERIODIC
 
 EVERY = torch.tensor([True, True])
@@ -107,3 +110,26 @@ def test_body_that_crosses_an_edge_is_the_reason_given(
     assert solver.is_diverged().all()
     (record,) = caplog.records
     assert record.message.startswith("flows [0] lose a body at an edge: keep its markers within x")
+
+
+DRIVEN = Cylinder(diameter=8, motion=Driven(velocity=(0.2, 0.0)))
+
+
+@pytest.mark.parametrize("skin", [BounceBack(), ImmersedBoundary()])
+@pytest.mark.parametrize("motion", [Fixed(), Free()])
+@pytest.mark.parametrize("num_steps", [20, 120])  # 24 nodes: right through a fixed one
+def test_bodies_that_come_to_overlap_are_named_and_their_flow_is_lost(
+    skin: Skin, motion: Motion, num_steps: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    other = Cylinder(diameter=8, motion=motion, density_ratio=50.0)  # heavy: it is not swept away
+    flow = FlowConfig(width=56, height=32, tau=0.8, bodies=(DRIVEN, other), skin=skin)
+    solver = InPlaceSolver(config=flow, num_envs=2, compile=False)
+    near, apart = [(12.0, 16.0), (23.0, 16.0)], [(12.0, 8.0), (23.0, 24.0)]
+    solver.reset_(EVERY, torch.tensor([near, apart]))
+    for _ in range(120 // num_steps):
+        solver.advance_(num_steps)
+    assert solver.is_diverged().tolist() == solver.overlaps.tolist() == [True, False]
+    (record,) = caplog.records
+    assert record.message.startswith("flows [0] have bodies that overlap")
+    solver.reset_(EVERY, torch.tensor([apart, apart]))
+    assert not solver.is_diverged().any()

@@ -1,7 +1,7 @@
 """Control of the heading, together with the tail beat: imposed turns, or bends of the body."""
 
 from abc import abstractmethod
-from math import radians
+from math import ceil, radians
 from typing import Annotated
 
 from pydantic import Field, PositiveFloat
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fishrl.envs.control.beats import Steady
 from fishrl.envs.control.control import Choice, Control
-from fishrl.physics.bodies.motion import Bending, Motion
+from fishrl.physics.bodies.motion import MAX_RESPONSE, Bending, Motion
 
 _SIDES = ("right", "straight", "left")
 
@@ -147,7 +147,13 @@ class Bend(_Steered):
         return self.bend_bl
 
     def make_motion(self, interval_T: float) -> Motion:
-        """Return the motion of a free fish that bends."""
+        """Return the motion of a free fish that bends; ValueError where it could not follow."""
+        if self.response_T < interval_T / MAX_RESPONSE:
+            raise ValueError(
+                f"response_T = {self.response_T:g}: raise it to at least "
+                f"{ceil(1e3 * interval_T / MAX_RESPONSE) / 1e3:g}, 1 / {MAX_RESPONSE:g} of "
+                "control_interval_T"
+            )
         return Bending(response=interval_T / self.response_T)
 
     def choose(self, action: Tensor, gear: Tensor, flow: Tensor) -> Choice:

@@ -11,6 +11,9 @@ from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 from fishrl.settings import Settings
 
+#: Most time constants of a bend in a command.
+MAX_RESPONSE = 6.0
+
 
 def compute_turn_rate(body: BodyState) -> Tensor:
     """Return the commanded Omega ``[B]``: (turn / n) (1 - cos 2 pi t / n); its sum is ``turn``."""
@@ -45,6 +48,10 @@ class Motion(Settings):
     def compute_bend_rate(self, body: BodyState) -> Tensor:
         """Return the change per step of a fish's bend, ``[B]``; see ``Bending``."""
         return torch.zeros_like(body.bend)
+
+    def compute_command_speed(self, body: BodyState) -> Tensor:
+        """Return the speed of the tail ``[B]``, L per step, when a command turns it fastest."""
+        return self.compute_bend_rate(body).abs()
 
 
 class Fixed(Motion):
@@ -159,6 +166,10 @@ class Commanded(Motion):
         """Return the commanded turn rate."""
         return body.velocity, compute_turn_rate(body)
 
+    def compute_command_speed(self, body: BodyState) -> Tensor:
+        """Return it for the middle of the turn, which is twice as fast as on average."""
+        return body.turn.abs() / body.turn_steps
+
 
 class Towed(Commanded):
     """A commanded fish that keeps its initial velocity along x; the flow moves it along y alone."""
@@ -184,10 +195,10 @@ class Bending(Motion):
     free_axes: ClassVar[tuple[int, ...]] = (0, 1, 2)
 
     gain: float = 1.0
-    response: Annotated[float, Field(gt=0, le=6)] = 6.0
+    response: Annotated[float, Field(gt=0, le=MAX_RESPONSE)] = MAX_RESPONSE
 
     def compute_bend_rate(self, body: BodyState) -> Tensor:
         """Return the relaxation towards the command."""
         is_commanded = body.turn_clock < body.turn_steps
         goal = torch.where(is_commanded, -self.gain * body.turn, torch.zeros_like(body.turn))
-        return (goal - body.bend) * self.response / body.turn_steps.clamp_min(6.0)
+        return (goal - body.bend) * self.response / body.turn_steps.clamp_min(MAX_RESPONSE)

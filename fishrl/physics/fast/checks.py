@@ -6,7 +6,9 @@ from math import inf
 import torch
 from torch import Tensor
 
+from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import FlowConfig
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 
 def check_tensor(
@@ -16,12 +18,13 @@ def check_tensor(
     *,
     dtype: torch.dtype | None = None,
     where: Tensor | None = None,
-    largest: float = inf,
+    largest: float | Tensor = inf,
+    reason: str = "",
 ) -> None:
     """Check shape (None fits any length), type and, in rows ``where`` ``[B]``, size.
 
-    There it must be finite and of a magnitude of at most ``largest``. That is read on a CPU only:
-    on a GPU the host would have to wait.
+    There it must be finite and of a magnitude of at most ``largest``, a number or as ``value``, for
+    a ``reason``. That is read on a CPU only: on a GPU the host would have to wait.
     """
     wanted = f"a tensor of shape {shape}" + (f" and type {dtype}" if dtype else "")
     if not isinstance(value, Tensor):
@@ -39,15 +42,17 @@ def check_tensor(
     chosen = value.to(where.device)[where]
     if not chosen.isfinite().all():
         raise ValueError(f"{name} = {value.tolist()}: must be finite in every chosen row")
-    if (chosen.abs() > largest).any():
-        raise ValueError(f"{name} = {value.tolist()}: allowed is at most {largest}")
+    most = torch.as_tensor(largest, dtype=torch.float64).expand(value.shape)[where]
+    if (chosen.abs() > most * (1.0 + 1e-9)).any():
+        raise ValueError(f"{name} = {value.tolist()}: allowed is at most {most.min():.4g}{reason}")
 
 
-def read_frequency(frequency: float | Tensor, configs: Sequence[FlowConfig]) -> Tensor:
-    """Return a frequency per step, or one of each flow ``[B]``, in float64 on the CPU.
+def read_frequency(frequency: float | Tensor | None, configs: Sequence[FlowConfig]) -> Tensor:
+    """Return a frequency per step, by default 0, or one of each flow ``[B]``, float64 on the CPU.
 
     ValueError unless it is finite and no body's surface too fast.
     """
+    frequency = 0.0 if frequency is None else frequency
     value = torch.as_tensor(frequency, dtype=torch.float64, device="cpu")
     shape = (len(configs),) if value.dim() else ()
     check_tensor("frequency", value, shape, where=torch.ones(shape, dtype=torch.bool))
@@ -55,6 +60,32 @@ def read_frequency(frequency: float | Tensor, configs: Sequence[FlowConfig]) -> 
         for body in config.bodies:
             body.check_speed(own)
     return value
+
+
+def check_commands(configs: Sequence[FlowConfig], bodies: Sequence[BodyState]) -> None:
+    """Raise ValueError on a CPU for commands that the constructors would refuse.
+
+    These are a frequency, turn or bend that moves a surface too fast, and amplitudes beyond the
+    gait's. ``bodies`` are the first ones of each flow, with their commands.
+    """
+    if not bodies or bodies[0].turn.device.type != "cpu":
+        return
+    for index, state in enumerate(bodies):
+        kinds = [config.bodies[index] for config in configs]
+        every = torch.ones_like(state.frequency, dtype=torch.bool)
+        size, most = torch.tensor(
+            [(kind.size, kind.largest_frequency) for kind in kinds], dtype=torch.float64
+        ).unbind(-1)
+        named, reason = f"of body {index}", f": no surface may exceed {MAX_IMPOSED_SPEED} per step"
+        check_tensor(
+            f"frequency {named}", state.frequency, where=every, largest=most, reason=reason
+        )
+        fastest = kinds[0].motion.compute_command_speed(state) * size.to(state.turn)
+        check_tensor(
+            f"turn {named}, speed of the tail", fastest, where=every, largest=MAX_IMPOSED_SPEED
+        )
+        share, gait = state.amplitude_goal, ": another gait swings further"
+        check_tensor(f"amplitude {named}", share, where=every, largest=1.0, reason=gait)
 
 
 def check_device(device: torch.device | str) -> None:

@@ -82,7 +82,10 @@ class Execution:
         if self._is_ready or not (self.num_workers or self._wants_compile):
             return
         began = time.perf_counter()
-        logger.info("compiling the flow step (up to a minute when new) ...")
+        with one_thread() if self.num_workers else self._limit_threads():
+            is_new = self._wants_compile and self.batch.is_new()
+        level = logging.WARNING if is_new else logging.INFO  # where logs are not set up, the first
+        logger.log(level, "compiling the flow step: a minute when new, longer on a busy machine")
         if self.num_workers:
             self.workers = self._start_workers()
         else:

@@ -122,8 +122,10 @@ def set_up_inductor(device: torch.device, patches: dict[str, object]) -> Iterato
     """Apply settings, and yield a folder for this kind of machine, in which Inductor stores."""
     from torch._inductor import cpu_vec_isa
 
+    probes = logging.getLogger("torch.utils.cpp_extension")
+    level = probes.level
     if device.type == "cpu":  # else a warning in each process where there is nvcc but no GPU
-        logging.getLogger("torch.utils.cpp_extension").setLevel(logging.ERROR)
+        probes.setLevel(logging.ERROR)
     with torch._inductor.config.patch(_list_settings(device) | patches):
         before, list_all = os.environ.get("TORCHINDUCTOR_CACHE_DIR"), cpu_vec_isa.valid_vec_isa_list
         units = [
@@ -141,6 +143,7 @@ def set_up_inductor(device: torch.device, patches: dict[str, object]) -> Iterato
             os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(folder)
             yield folder
         finally:
+            probes.setLevel(level)
             cpu_vec_isa.valid_vec_isa_list = list_all
             del os.environ["TORCHINDUCTOR_CACHE_DIR"]
             if before is not None:

@@ -1,6 +1,5 @@
 """A batch of flows in memory: what environments hold, reset, command, advance and read."""
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import hypot
@@ -12,10 +11,11 @@ from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium
 from fishrl.physics.fast.batch import set_rows_
-from fishrl.physics.fast.checks import check_device, check_tensor, read_frequency
+from fishrl.physics.fast.checks import check_commands, check_device, check_tensor, read_frequency
 from fishrl.physics.fast.execution import Execution
 from fishrl.physics.fast.part import Part
 from fishrl.physics.fast.refined import RefinedBatch
+from fishrl.physics.fast.watch import Watch
 from fishrl.physics.flow import (
     FlowConfig,
     change_stream_speed,
@@ -24,10 +24,8 @@ from fishrl.physics.flow import (
 )
 from fishrl.physics.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
-from fishrl.physics.placement import check_placement, describe_inside, lies_inside, spread_starts
+from fishrl.physics.placement import check_placement, find_water, lies_inside, spread_starts
 from fishrl.torch_state import with_own_state
-
-logger = logging.getLogger(__name__)
 
 
 @with_own_state
@@ -38,6 +36,7 @@ class InPlaceSolver:
         config: one for all flows, or one per flow; see ``FlowConfig`` for what may differ.
         num_envs: number of flows B; with one configuration per flow it may be left out.
         frequency: tail beats or oscillations per step at start, of all bodies; ``[B]`` or a number.
+            None is 0, with a warning where a fish is then advanced that no command made beat.
         device: where everything lives.
         compile: compile the step; otherwise the same functions run eagerly.
         num_workers: CPU processes that share the flows, each on one core. None takes one per core,
@@ -54,7 +53,7 @@ class InPlaceSolver:
         *,
         config: FlowConfig | Sequence[FlowConfig],
         num_envs: int | None = None,
-        frequency: float | Tensor = 0.0,
+        frequency: float | Tensor | None = None,
         device: torch.device | str = "cpu",
         compile: bool = True,
         num_workers: int | None = None,
@@ -63,7 +62,6 @@ class InPlaceSolver:
         check_device(device)
         device = torch.device(device)
         configs = list_configs(config, num_envs, device)
-        torch.set_flush_denormal(True)  # still water decays into denormals, which are slow
         self.configs, self.config = configs, configs[0]
         self.num_envs, self.device = len(configs), device
         self._frequency = read_frequency(frequency, configs).to(device)
@@ -75,15 +73,23 @@ class InPlaceSolver:
             flows_per_launch=flows_per_launch,
         )
         self._batch, self._group_size = self._execution.batch, self._execution.group_size
-        self._is_lost = torch.zeros(self.num_envs, dtype=torch.bool)  # after the last advance_
         rise = [float(each.ramp_steps) for each in configs]
         self._rise = torch.tensor(rise, dtype=torch.float64, device=device)
         # several bodies overlap in the middle until they are placed
         has_many = len(self.config.bodies) > 1
         self._unplaced = self._choose(None) if has_many else None
+        self._watch = Watch(self.config, self.num_envs, device)
+        self._watch.is_idle = frequency is None and self.config.fish is not None
         self._batch.initialise_()
         for body in self.bodies:
             body.frequency.copy_(self._frequency)
+
+    def __getstate__(self) -> object:
+        """Refuse copies and pickles, which would share recorded calls and processes."""
+        raise TypeError(
+            "a solver, or an environment with it, cannot be copied or pickled: make another one, "
+            "and load_state_dict(state_dict())"
+        )
 
     @property
     def bodies(self) -> tuple[BodyState, ...]:
@@ -114,8 +120,9 @@ class InPlaceSolver:
         each flow is its own group by default. On a GPU all flows are one group, which always
         advances, since the host would have to wait to see whether any row must.
 
-        On a CPU a warning is logged, once, for flows that are no longer finite or that a body has
-        left; not with ``rows``, whose caller, such as the environment, handles each flow.
+        On a CPU a warning is logged, once, for flows that are no longer finite, that a body has
+        left, or whose bodies overlap; not with ``rows``, whose caller, such as the environment,
+        handles each flow.
 
         Raises:
             ValueError: for an odd number of steps, for ``rows`` that are not ``[B]`` bool, and for
@@ -132,26 +139,15 @@ class InPlaceSolver:
                 f"the {len(self.bodies)} bodies overlap at the centre of the domain: "
                 "call reset_(position=...) first"
             )
-        self._execution.advance_(num_steps, groups)
+        for num in self._watch.split(num_steps, unit):
+            self._execution.advance_(num, groups)
+            if self._watch.looks:
+                self._watch.look_(self._outlines())
         if rows is None and self.device.type == "cpu":
-            self._report()
+            self._watch.report(self._outlines(), self._batch.is_lost())
 
-    def _report(self) -> None:
-        """Log flows that have diverged since the last time, or that a body has left."""
-        has_left = torch.zeros_like(self._is_lost)
-        for index in range(len(self.bodies)):
-            outline = self.markers(index)
-            is_known = outline.isfinite().flatten(1).all(-1)  # not a free body's in a lost flow
-            has_left |= is_known & ~lies_inside(outline, self.config)
-        was_lost, self._is_lost = self._is_lost, self._batch.is_lost() | has_left
-        new = self._is_lost & ~was_lost
-        advice = "lower stream_speed, raise tau, or keep free bodies from the edges"
-        for flows, problem in (
-            (new & has_left, f"lose a body at an edge: {describe_inside(self.config)}"),
-            (new & ~has_left, f"have diverged: {advice}"),
-        ):
-            if flows.any():
-                logger.warning("flows %s %s", flows.nonzero()[:, 0].tolist(), problem)
+    def _outlines(self) -> list[Tensor]:
+        return [self.markers(index) for index in range(len(self.bodies))]
 
     def _choose(self, rows: Tensor | None) -> Tensor:
         """Return ``rows`` ``[B]`` on the device of the flows, all of them for None."""
@@ -203,8 +199,7 @@ class InPlaceSolver:
         if self._unplaced is not None:
             left = self._unplaced & ~rows
             self._unplaced = left if left.any() else None
-        if rows.device.type == "cpu":
-            self._is_lost &= ~rows
+        self._watch.forget_(rows)
         zero = torch.zeros_like(flow.clock)
         params = flow.params._replace(ramp_steps=self._rise, former_speed=zero, ramp_start=zero)
         new = flow._replace(clock=zero, params=params, bodies=tuple(fresh))
@@ -285,26 +280,31 @@ class InPlaceSolver:
             amplitude: share of the gait's, of the shape of ``turn``; approached smoothly.
 
         Raises:
-            ValueError: for another shape, numbers that are not finite, and more than all bodies.
+            ValueError: for another shape, numbers that are not finite, more than all bodies, and on
+                a CPU for a surface that would exceed 0.3 nodes per step, or an amplitude above 1.
         """
         if num_steps < 2:
             raise ValueError(f"num_steps = {num_steps}: a turn takes at least two steps")
         check_tensor("turn", turn)
-        every_row, shape = self._choose(None), (self.num_envs, *turn.shape[1:2])
-        check_tensor("turn", turn, shape, where=every_row)
-        turns = turn.reshape(self.num_envs, -1)
-        self._get_body(turns.shape[1] - 1)
-        for name, value in (("frequency", frequency), ("amplitude", amplitude)):
+        every, shape = self._choose(None), (self.num_envs, *turn.shape[1:2])
+        columns: dict[str, tuple[Tensor, ...]] = {}
+        given = {"turn": turn, "frequency": frequency, "amplitude_goal": amplitude}
+        for name, value in given.items():
             if value is not None:
-                check_tensor(name, value, shape, where=every_row)
-        for index, body in enumerate(self.bodies[: turns.shape[1]]):
-            body.turn.copy_(turns[:, index])
-            body.turn_steps.fill_(float(num_steps))
-            body.turn_clock.zero_()
-            if frequency is not None:
-                body.frequency.copy_(frequency.reshape(turns.shape)[:, index])
-            if amplitude is not None:
-                body.amplitude_goal.copy_(amplitude.reshape(turns.shape)[:, index])
+                check_tensor(name.removesuffix("_goal"), value, shape, where=every)
+                columns[name] = value.reshape(self.num_envs, -1).to(self._frequency).unbind(1)
+        self._get_body(len(columns["turn"]) - 1)
+        zero = torch.zeros_like(columns["turn"][0])
+        orders = [
+            dict(zip(columns, own, strict=True), turn_steps=zero + num_steps, turn_clock=zero)
+            for own in zip(*columns.values(), strict=True)
+        ]
+        pairs = list(zip(self.bodies, orders, strict=False))
+        check_commands(self.configs, [body._replace(**order) for body, order in pairs])
+        self._watch.is_idle &= frequency is None
+        for body, order in pairs:
+            for name, value in order.items():
+                getattr(body, name).copy_(value)
 
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""
@@ -315,6 +315,12 @@ class InPlaceSolver:
     def macroscopic(self) -> tuple[Tensor, Tensor]:
         """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
         return self._batch.macroscopic()
+
+    def find_water(self) -> Tensor:
+        """Return ``[B, Y, X]`` bool: nodes of the flow, all but those inside a sharp skin."""
+        size = self.num_envs, self.config.height, self.config.width
+        every = torch.ones(size, dtype=torch.bool, device=self.device)
+        return find_water(self._outlines(), self.config, every)
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return density ``[B, P]`` and velocity ``[B, P, 2]`` at points ``[B, P, 2]`` (x, y).
@@ -341,12 +347,17 @@ class InPlaceSolver:
             )
         return self.config.bodies[index], self._batch.flow.params.bodies[index], self.bodies[index]
 
+    @property
+    def overlaps(self) -> Tensor:
+        """``[B]`` bool: whether bodies have grown into each other since reset; a copy."""
+        return self._watch.overlaps.clone()
+
     def is_diverged(self) -> Tensor:
-        """Return ``[B]`` bool: density or speed is out of range, or a body outside the grid."""
+        """Return ``[B]`` bool: density or speed out of range, a body off the grid, or overlap."""
         fine = self._batch.is_fine()
-        for index in range(len(self.bodies)):
-            fine = fine & lies_inside(self.markers(index), self.config)
-        return ~fine
+        for outline in self._outlines():
+            fine = fine & lies_inside(outline, self.config)
+        return ~fine | self._watch.overlaps
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return the complete state as copies, every tensor ``[B, ...]``."""
@@ -359,7 +370,9 @@ class InPlaceSolver:
         """
         self._batch.load_state_(state)
         self._unplaced = None
-        self._is_lost.zero_()
+        self._watch.forget_(self._choose(None))
+        if self._watch.looks:
+            self._watch.look_(self._outlines())
 
     def list_calls(self) -> list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]:
         """Return the parts of a step in order, for measuring them in this process.

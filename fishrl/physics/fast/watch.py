@@ -1,0 +1,74 @@
+"""What becomes of flows as they advance: diverged, left by a body, or with bodies that overlap."""
+
+import logging
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from fishrl.physics.flow import FlowConfig
+from fishrl.physics.placement import describe_inside, find_overlaps, lies_inside
+
+logger = logging.getLogger(__name__)
+
+#: Steps after which several bodies are looked at: a swimming fish moves by a node in them.
+_LOOK_STEPS = 20
+
+
+class Watch:
+    """Notices what is lost in a batch of flows.
+
+    Attributes:
+        overlaps: ``[B]`` bool, whether bodies have grown into each other since ``forget_``.
+        looks: whether they can, so that ``look_`` must be called.
+        is_idle: whether a fish has got no frequency.
+    """
+
+    def __init__(self, config: FlowConfig, num_envs: int, device: torch.device) -> None:
+        self._config = config
+        self._was_lost = torch.zeros(num_envs, dtype=torch.bool)
+        self.overlaps = self._was_lost.to(device, copy=True)
+        self.looks = len(config.bodies) > 1 and not config.is_still
+        self.is_idle = False
+
+    def split(self, num_steps: int, unit: int) -> list[int]:
+        """Return numbers of steps, multiples of ``unit``, with a look after each.
+
+        Logs, once, that a fish is idle.
+        """
+        if self.is_idle:
+            self.is_idle = False
+            logger.warning(
+                "the fish does not beat: give InPlaceSolver(frequency=1 / T), T steps per beat, or "
+                "0.0 for one that glides"
+            )
+        stride = unit * -(-_LOOK_STEPS // unit) if self.looks else max(1, num_steps)
+        return [min(stride, num_steps - done) for done in range(0, max(1, num_steps), stride)]
+
+    def look_(self, outlines: Sequence[Tensor]) -> None:
+        """Remember which of the bodies with these outlines ``[B, N, 2]`` overlap."""
+        self.overlaps |= find_overlaps(outlines)
+
+    def forget_(self, rows: Tensor) -> None:
+        """Begin again with flows ``[B]``."""
+        self.overlaps &= ~rows
+        if rows.device.type == "cpu":
+            self._was_lost &= ~rows
+
+    def report(self, outlines: Sequence[Tensor], is_lost: Tensor) -> None:
+        """Log flows that are lost since the last time; ``is_lost`` ``[B]`` are not finite."""
+        has_left = torch.zeros_like(is_lost)
+        for outline in outlines:
+            is_known = outline.isfinite().flatten(1).all(-1)  # not a free body's in a lost flow
+            has_left |= is_known & ~lies_inside(outline, self._config)
+        was_lost, self._was_lost = self._was_lost, is_lost | has_left | self.overlaps
+        new = self._was_lost & ~was_lost
+        meet = new & self.overlaps & ~has_left
+        advice = "lower stream_speed, raise tau, or keep free bodies from edges and each other"
+        for flows, problem in (
+            (new & has_left, f"lose a body at an edge: {describe_inside(self._config)}"),
+            (meet, "have bodies that overlap: end an episode before they touch"),
+            (new & ~has_left & ~meet, f"have diverged: {advice}"),
+        ):
+            if flows.any():
+                logger.warning("flows %s %s", flows.nonzero()[:, 0].tolist(), problem)
