@@ -6,6 +6,7 @@ from pathlib import Path
 from types import EllipsisType
 from typing import Any
 
+import torch
 from pydantic import NonNegativeInt, PositiveInt
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import TransformedEnv
@@ -60,7 +61,8 @@ def load_policy(
     if has_labels is None:
         has_labels = plan.recognition is not None
     spec = PolicySpec.for_task(task or plan.task, hidden=plan.hidden, has_labels=has_labels)
-    actor = plan.algorithm.make_policy(spec).to(device)
+    with torch.random.fork_rng(devices=[]):  # for weights that are replaced
+        actor = plan.algorithm.make_policy(spec).to(device)
     found.load({"actor": actor}, spec=spec, device=device)
     return actor
 

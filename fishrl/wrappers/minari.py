@@ -6,7 +6,8 @@ spaces, but zeros instead of the data of any Minari dataset.
 
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,8 @@ def write_dataset(
         policy: writes ``action``.
         starts: initial conditions ``[E]`` of ``task.sample_starts``.
         name: identifier of the dataset, ``(<namespace>/)<name>-v<version>``.
-        folder: folder of the datasets; sets ``MINARI_DATASETS_PATH`` of this process.
+        folder: folder of the datasets; ``minari.load_dataset`` finds them where the environment
+            variable ``MINARI_DATASETS_PATH`` names it.
         seed: seed of the starts, stored with the dataset.
         algorithm: name of the policy, stored with the dataset.
         on_episodes: called with the number of episodes that have just ended.
@@ -100,10 +102,9 @@ def write_dataset(
             infos={key: arrays[key] for key in reported},
         )
         buffers.append(buffer)
-    os.environ["MINARI_DATASETS_PATH"] = str(Path(folder).expanduser().absolute())
     seen, actions = make_spaces(env)
     mask = Box(0, 1, (task.num_actions,), np.uint8)  # TorchRL cannot read MultiBinary
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), _naming(folder):
         warnings.simplefilter("ignore", UserWarning)  # missing metadata for the public server
         return minari.create_dataset_from_buffers(
             name,
@@ -114,3 +115,17 @@ def write_dataset(
             description=f"{len(starts)} episodes of {task}",
             requirements=["fishrl"],
         )
+
+
+@contextmanager
+def _naming(folder: str | Path) -> Iterator[None]:
+    """Name the folder of the datasets to Minari, which takes it from the environment alone."""
+    name = "MINARI_DATASETS_PATH"
+    before = os.environ.get(name)
+    os.environ[name] = str(Path(folder).expanduser().absolute())
+    try:
+        yield
+    finally:
+        del os.environ[name]
+        if before is not None:
+            os.environ[name] = before
