@@ -1,18 +1,21 @@
 """Error messages of settings: one line per field, with the nearest right word."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from difflib import SequenceMatcher
-from typing import Any
+from enum import Enum
+from inspect import isabstract
+from typing import Any, get_args
 
 
-def explain(name: str, errors: list[Any], *, value: Any, known: Iterable[str]) -> str:
+def explain(name: str, errors: list[Any], *, value: Any, known: Mapping[str, Any]) -> str:
     """Return one line for all errors that pydantic found in a field."""
     kind = errors[0]["type"]
     if kind == "unexpected_keyword_argument":
         return f"{name}: there is no such setting{suggest(name, known)}"
     if kind == "missing" and len(errors[0]["loc"]) == 1:
         return f"{name}: has no default, so it must be given"
-    reasons = dict.fromkeys(_say(error) for error in errors)
+    hint = getattr(known.get(name), "annotation", None)
+    reasons = dict.fromkeys(_say(error, hint) for error in errors)
     lengths = [error["loc"][-1] + 1 for error in errors if error["type"] == "missing"]
     if lengths:
         reasons.pop("", None)
@@ -24,8 +27,15 @@ def explain(name: str, errors: list[Any], *, value: Any, known: Iterable[str]) -
     return f"{name} = {_show(value)}: must {first}"
 
 
-def _say(error: Any) -> str:
+def _say(error: Any, hint: Any) -> str:
     """Return the condition that a value violates, such as ``be greater than 0``."""
+    if error["type"] == "is_instance_of":
+        members = list(_list_members(hint, error["ctx"]["class"]))
+        return (
+            f"be {' or '.join(members)}" if members else str(error["msg"]).partition(" should ")[2]
+        )
+    if error["type"] == "tuple_type" and isinstance(error["input"], int | float | str):
+        return f"be a list, such as [{error['input']}]"
     if error["type"] == "value_error":  # of a validator, which completes "must be ..."
         return f"be {error['ctx']['error']}"
     said = str(error["msg"]).partition(" should ")[2]
@@ -34,6 +44,18 @@ def _say(error: Any) -> str:
         choices = str(error["ctx"]["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
         said += suggest(str(error["input"]), choices)
     return said
+
+
+def _list_members(hint: Any, name: str) -> Iterator[str]:
+    """List what may stand where an annotation has a class of a name, as one writes it in Python."""
+    for part in get_args(hint):
+        yield from _list_members(part, name)
+    if isinstance(hint, type) and hint.__name__ == name:
+        if issubclass(hint, Enum):
+            yield from (f"{name}.{member.name}" for member in hint)
+        for kind in [hint, *hint.__subclasses__()]:
+            if hasattr(kind, "__pydantic_fields__") and not isabstract(kind):
+                yield f"{kind.__name__}(...)"
 
 
 def _show(value: Any) -> str:

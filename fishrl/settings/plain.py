@@ -284,7 +284,9 @@ def find_class(name: str, kinds: tuple[type, ...], *, modules: Collection[str] =
         )
     found = getattr(loaded, last, None)
     if found is None:
-        raise ValueError(f"{TARGET}: {name}: module {module!r} has no {last!r}")
+        classes = [key for key, value in vars(loaded).items() if isinstance(value, type)]
+        near = suggest(last, classes)
+        raise ValueError(f"{TARGET}: {name}: module {module!r} has no {last!r}{near}")
     if not isinstance(found, type) or not issubclass(found, kinds):
         wanted = " or ".join(kind.__name__ for kind in kinds)
         must = f"must be a subclass of {wanted}" if kinds else "this setting is no object"

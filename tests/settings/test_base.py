@@ -59,7 +59,7 @@ def test_every_error_has_a_line() -> None:
         "mode = 'burs': must be 'burst' or 'cruise'; did you mean 'burst'?",
         "free = nan: must be finite",
         "nme: there is no such setting; did you mean 'name'?",
-        "part = None: must be an instance of Part",
+        "part = None: must be Part(...)",
     }
 
 

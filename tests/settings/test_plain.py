@@ -106,7 +106,7 @@ def test_each_error_has_a_line_with_dotted_key() -> None:
         ({"task": {}, "siz": 1}, "there is no 'siz'; did you mean 'task.line.size'?"),
         ({"task": {}, "xyz": 1}, "there is no 'xyz'. There is: task, logger, seed"),
         ({}, "task: has no default, so it must be given"),
-        ({"task": None}, "task = None: must be an instance of Task"),
+        ({"task": None}, "task = None: must be Task(...)"),
         ({"task": {"gait": {"speed": 10}}}, "task.gait.speed = 10.0: must be that of a fish"),
         (
             {"task": {"line": {"colour": "BLUE"}}},
