@@ -43,7 +43,8 @@ class Stream(Settings):
         face_bl: distance of its flat side from the inflow.
         num_phases: wake snapshots per shedding period from which episodes start.
         num_travels: development time of a wake, D / U; see ``wakes.WakeRecipe``.
-        wake_folder: cache of developed wakes.
+        wake_folder: cache of developed wakes; a relative folder that does not hold them stands for
+            ``~/.cache/fishrl/wakes``. Delete its files to clear it.
     """
 
     speeds_bl: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (1.0, 1.25, 1.5)

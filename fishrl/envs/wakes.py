@@ -7,6 +7,7 @@ upwards.
 """
 
 import logging
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -76,9 +77,22 @@ class WakeBank:
         return bank[flow, (phase * bank.shape[1]).long()]
 
 
+def find_file(recipe: WakeRecipe, folder: str | Path) -> Path:
+    """Return the file of a recipe in ``folder``, or in the cache of this user.
+
+    That is ``~/.cache/fishrl/wakes``, or in ``XDG_CACHE_HOME``. It is taken instead of a relative
+    folder, which is another one in each working directory, unless the file is there already.
+    """
+    given = Path(folder).expanduser() / f"wakes-{recipe.key}.pt"
+    caches = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if given.is_absolute() or given.is_file() or not os.path.isabs(caches):
+        return given
+    return Path(caches, "fishrl", "wakes", given.name)
+
+
 def load_wakes(recipe: WakeRecipe, folder: str | Path) -> WakeBank:
-    """Read the bank of a recipe from its file in ``folder``, or compute and store it."""
-    path = Path(folder).expanduser() / f"wakes-{recipe.key}.pt"
+    """Read the bank of a recipe from its file, see ``find_file``, or compute and store it."""
+    path = find_file(recipe, folder)
     names = ("populations", "shedding_frequencies")
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -90,6 +104,10 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path) -> WakeBank:
                 bank = develop_wakes(recipe)
                 with staged(path) as stage:
                     torch.save({name: getattr(bank, name) for name in names}, stage)
+                size = sum(file.stat().st_size for file in path.parent.glob("wakes-*.pt"))
+                logger.info(
+                    "%s holds %.2g GB of wakes; delete what you like", path.parent, size / 1e9
+                )
     return WakeBank(**load_tensors(path, what="wakes", remedy="delete the file"))
 
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from fishrl.envs.wakes import WakeBank, WakeRecipe, develop_wakes, load_wakes
+from fishrl.envs.wakes import WakeBank, WakeRecipe, develop_wakes, find_file, load_wakes
 from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.collision import compute_macroscopic
@@ -100,6 +100,23 @@ def test_concurrent_requests_develop_a_wake_once(
         banks = list(pool.map(lambda _: load_wakes(RECIPE, tmp_path), range(4)))
     assert made == ["wake"] and path.is_file()
     assert all(torch.equal(each.populations, bank.populations) for each in banks)
+
+
+def test_cache_is_the_users_from_whichever_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = f"wakes-{RECIPE.key}.pt"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for folder in ("a", "b"):
+        (tmp_path / folder / "runs").mkdir(parents=True)
+        monkeypatch.chdir(tmp_path / folder)
+        assert find_file(RECIPE, "runs") == tmp_path / "cache/fishrl/wakes" / name
+    assert find_file(RECIPE, tmp_path / "own") == tmp_path / "own" / name
+    (tmp_path / "b/runs" / name).touch()
+    assert find_file(RECIPE, "runs") == Path("runs") / name
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)  # of a user without a home
+    assert find_file(RECIPE, "other") == Path("other") / name
 
 
 def test_key_follows_the_recipe() -> None:
