@@ -6,8 +6,10 @@ import multiprocessing
 import os
 import shlex
 import signal
+import subprocess
 import sys
 import time
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ import psutil
 import pytest
 
 from fishrl.children import start_child
+from fishrl.locks import take_lock
 from fishrl.programs import train
 from fishrl.programs.configuration import CONF
 from fishrl.programs.sweeps import jobs
@@ -274,3 +277,61 @@ def test_failed_setup_is_reported_by_submitit(
     said = capfd.readouterr()
     assert "failed at frame 0" in said.out
     assert "Traceback" not in said.err
+
+
+def test_sweeps_of_the_same_second_have_folders_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(jobs.time, "strftime", lambda _: "now")
+    monkeypatch.setattr(jobs, "run_hydra", lambda *_: None)
+    for _ in range(3):
+        with pytest.raises(SystemExit):
+            train.main(["--multirun", "seed=0,1"])
+    found = [shlex.split(path.read_text()) for path in sorted(tmp_path.glob("runs/*/command.txt"))]
+    assert [words[-1] for words in found] == [
+        f"folder=runs/sweep-now{end}" for end in ("", "-2", "-3")
+    ]
+
+
+@pytest.mark.parametrize("gamma", [0.99, 0.5])
+@pytest.mark.parametrize("phase", ["before", "locked", "written", "held", "finished"])
+def test_job_of_another_sweep_in_the_same_folder_is_told_apart_in_any_phase(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, phase: str, gamma: float
+) -> None:
+    """The other one has gamma = 0.99; this one begins a run only if the other has not begun."""
+    started = list[str]()
+
+    def start(_: str, *words: str, **given: object) -> subprocess.Popen[bytes]:
+        started.extend(words)
+        return subprocess.Popen([sys.executable, "-c", ""])
+
+    def write(seconds: float) -> None:
+        """Go on as the other job does while this one looks."""
+        if not (tmp_path / "run/config.yaml").is_file():
+            make_run_folder(other.settings)
+
+    monkeypatch.setattr(jobs, "start_child", start)
+    monkeypatch.setattr(jobs.time, "sleep", write if phase == "locked" else lambda _: None)
+    (other,), (job,) = (plan_jobs([f"folder={tmp_path}", f"gamma={g}"]) for g in (0.99, gamma))
+    with ExitStack() as stack:
+        if phase != "before":
+            other.path.mkdir()
+            log = stack.enter_context((other.path / "output.log").open("ab"))
+            assert take_lock(log, is_passed_on=True)
+        if phase in ("written", "held", "finished"):
+            make_run_folder(other.settings)
+        if phase == "held":
+            monkeypatch.setattr("fishrl.programs.sweeps.runs.is_held", lambda _: True)
+        if phase == "finished":
+            write_json(other.path / "summary.json", {"frames": 10**6})
+            log.close()
+        is_other = gamma != 0.99 and phase != "before"
+        with (
+            pytest.raises(ValueError, match=r"gamma = 0\.5: is 0\.99")
+            if is_other
+            else nullcontext()
+        ):
+            jobs.run_job(job)
+    assert bool(started) == (phase == "before")
+    assert not (job.path / "failure.txt").exists()

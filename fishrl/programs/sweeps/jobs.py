@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -28,10 +29,11 @@ from omegaconf import DictConfig
 
 from fishrl.children import start_child
 from fishrl.files import write_whole
-from fishrl.programs.configuration import parse, run_hydra, split_options
+from fishrl.locks import take_lock
+from fishrl.programs.configuration import parse, quote, run_hydra, split_options
 from fishrl.programs.program import set_up_logging, show_command
 from fishrl.programs.sweeps.ending import ending_runs, leave_ending_to_sweep
-from fishrl.programs.sweeps.runs import Run, advise, count_frames, read_run
+from fishrl.programs.sweeps.runs import Run, advise, count_frames, is_held, read_run
 from fishrl.programs.train_settings import TRAINING, TrainConfig
 from fishrl.training.interruption import SIGNALS
 from fishrl.training.opening import open_run
@@ -83,8 +85,10 @@ class Launch:
 def sweep(arguments: Sequence[str]) -> None:
     """Run a sweep, report on its runs, and end the program with 1 unless all are finished."""
     launch, jobs = _plan(arguments)
-    if jobs[0].settings.folder == TRAINING.list_defaults()["folder"]:
-        arguments = [*arguments, f"folder=runs/sweep-{time.strftime('%Y%m%d-%H%M%S')}"]
+    if (parent := jobs[0].settings.folder) == TRAINING.list_defaults()["folder"]:
+        name = f"sweep-{time.strftime('%Y%m%d-%H%M%S')}"
+        own = RunFolder.create(parent=parent, name=name).path  # no other sweep's of this second
+        arguments = [*arguments, f"folder={quote(str(own))}"]
         launch, jobs = _plan(arguments)
     for job in jobs:
         open_run(job.settings)  # refuses settings that its run does not have
@@ -159,22 +163,31 @@ def run_job(job: Job) -> Run:
     """Begin or continue a run in a process of its own and wait for it; it prints to output.log.
 
     A run that is finished, or that another process writes, is left alone. Raise ValueError if the
-    run has other settings.
+    run has other settings, whoever writes it.
     """
     path = job.path
-    run = read_run(path)
-    if run.status == "running" or open_run(job.settings).summary is not None:
-        return run
+    if open_run(job.settings).summary is not None:
+        return read_run(path)
     path.mkdir(parents=True, exist_ok=True)
+    folder = RunFolder(path)
     start = "import sys; del sys.argv[1]; from fishrl.__main__ import main; main()"
     words = ("fishrl", "train", *job.words)  # as ``find_trainings`` looks for
     is_of_joblib, parent = multiprocessing.parent_process() is not None, os.getppid()
     with (
         Progress() as bar,
         (path / "output.log").open("ab") as output,
-        start_child(start, *words, stdout=output, stderr=subprocess.STDOUT) as child,
+        ExitStack() as stack,
     ):
-        done = run.frames
+        # held by this job and its run: another sweep's job of the same folder begins no second one
+        while not (is_own := take_lock(output, is_passed_on=True)) and not folder.config.is_file():
+            time.sleep(LOOK_SECONDS)
+        is_ended = open_run(job.settings).summary is not None  # it may have begun meanwhile
+        if is_ended or not is_own or is_held(path):
+            return read_run(path)
+        child = stack.enter_context(
+            start_child(start, *words, stdout=output, stderr=subprocess.STDOUT)
+        )
+        done = count_frames(path)
         bar.on_phase(path.name, total=job.settings.total_frames, done=done)
         is_over = False
         while not is_over:
@@ -184,8 +197,8 @@ def run_job(job: Job) -> Run:
             is_over = child.poll() is not None
             before, done = done, max(done, count_frames(path))
             bar.on_progress(done - before)
-    code, folder = child.returncode, RunFolder(path)
-    if code and code not in [128 + number for number in SIGNALS] and not folder.failure.is_file():
+    code, is_named = child.returncode, folder.failure.is_file() or is_held(path)
+    if code and code not in [128 + number for number in SIGNALS] and not is_named:
         reason = f"exit code {code}; see output.log"
         if code < 0:
             reason = f"killed by {signal.Signals(-code).name}; see output.log"
