@@ -1,22 +1,20 @@
 """A batch of flows with levels: one ``FlowBatch`` for each grid, and the parts between them."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import combinations
 
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate, pad
+from torch.nn.functional import pad
 from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Periodic
 from fishrl.physics.fast.batch import FlowBatch, make_fresh, name_numbers, restore_
+from fishrl.physics.fast.grid import Grid, find_moving, read_fields, refine_field
 from fishrl.physics.fast.part import Bound, Part, Repeater, Step, compile_parts, copy_tree
 from fishrl.physics.fast.transfer_parts import (
     Chain,
-    Moving,
-    PatchMemory,
     Shifting,
     make_filling,
     make_restriction,
@@ -28,38 +26,8 @@ from fishrl.physics.levels.grids import Level, find_point, place_patch, plan_lev
 from fishrl.physics.levels.patch import RING
 
 Allocate = Callable[[int], Tensor]
+Place = tuple[Tensor, Tensor]  # origin in the parent, corner in nodes of the finest level
 Calls = list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]
-
-
-@dataclass
-class Grid:
-    """One grid of all flows, and what passes between it and its parent."""
-
-    level: Level
-    batch: FlowBatch
-    origin: Tensor  #: ``[B, 2]`` int64, of a patch in its parent; the root's is 0
-    parent: "Grid | None"
-    inside: list["Grid"] = field(default_factory=list)
-    transfers: tuple[Part, ...] = ()  #: filling, restriction in each step, and that of all nodes
-
-    def walk(self) -> Iterator["Grid"]:
-        """Yield this grid and all inside it, coarser ones first."""
-        yield self
-        for patch in self.inside:
-            yield from patch.walk()
-
-    def find_corner(self) -> Tensor:
-        """Return the place ``[B, 2]`` of the first node, in nodes of the finest level."""
-        if self.parent is None:
-            return self.origin
-        return self.parent.find_corner() + self.parent.level.spacing * self.origin
-
-    def bind(self, part: Part, number: int) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
-        """Return a transfer's arguments for a group, before even and odd steps of the parent."""
-        assert self.parent is not None
-        origin = self.origin[self.batch.rows_of(number)]
-        parent = self.parent.batch.memory_of(number)
-        return part.bind(PatchMemory(self.batch.memory_of(number), parent, origin))
 
 
 class RefinedBatch:
@@ -119,8 +87,7 @@ class RefinedBatch:
         block = torch.zeros(len(self._grids), size, 2, dtype=torch.int64)
         by = iter(block)
         chains = [
-            Chain([_find_moving(grid, number, next(by)) for grid in chain])
-            for chain in self._moving
+            Chain([find_moving(grid, number, next(by)) for grid in chain]) for chain in self._moving
         ]
         bound = zip(self._choices, chains, strict=True)
         choices = [(part, part.bind(chain)) for part, chain in bound]
@@ -160,7 +127,7 @@ class RefinedBatch:
         first = next(iter(self.groups))
         own = [(part, args) for (part, number), args in self._arguments.items() if number == first]
         by = torch.zeros_like(self._root.origin[: len(self._root.batch.first.nodes[0])])
-        chains = [Chain([_find_moving(g, first, by) for g in chain]) for chain in self._moving]
+        chains = [Chain([find_moving(g, first, by) for g in chain]) for chain in self._moving]
         bound = zip(self._choices, chains, strict=True)
         return [*own, *((part, part.bind(chain)) for part, chain in bound)]
 
@@ -195,40 +162,58 @@ class RefinedBatch:
 
     def _place_(self, rows: Tensor) -> None:
         """Put the patches of some flows around their bodies."""
-        for grid in self._grids[1:]:
-            assert grid.parent is not None
-            origin = self._find_origin(grid, self.flow.bodies)
+        for grid, (origin, _) in zip(self._grids, self._find_places(self.flow.bodies), strict=True):
             grid.origin.copy_(torch.where(rows[:, None], origin, grid.origin))
 
-    def _find_origin(self, grid: Grid, bodies: Sequence[BodyState]) -> Tensor:
-        """Return the origin ``[B, 2]`` of a patch around its body, in its parent as it lies."""
-        assert grid.parent is not None
-        point = find_point(grid.level, bodies, self.flow.clock)
-        place = (point - grid.parent.find_corner()) / grid.parent.level.spacing
-        return place_patch(place, grid.level.frame)
+    def _find_places(self, bodies: Sequence[BodyState]) -> list[Place]:
+        """Return where each grid must lie for bodies to be in the middle of their patches."""
+        places = [(torch.zeros_like(self._root.origin),) * 2]
+        for grid in self._grids[1:]:
+            assert grid.parent is not None
+            _, corner = places[self._grids.index(grid.parent)]
+            spacing = grid.parent.level.spacing
+            place = (find_point(grid.level, bodies, self.flow.clock) - corner) / spacing
+            origin = place_patch(place, grid.level.frame)
+            places.append((origin, corner + spacing * origin))
+        return places
 
     def check_places(self, bodies: Sequence[BodyState], rows: Tensor) -> None:
-        """Raise ValueError for bodies in ``rows`` ``[B]`` whose patches would overlap."""
-        tops = [(grid, self._find_origin(grid, bodies)) for grid in self._root.inside]
-        near = self._find_overlap(tops) & rows
-        if near.any():
-            unit = self._root.level.spacing
-            sizes = [(unit * (w // 2), unit * (h // 2)) for w, h in _list_sizes(tops)]
-            raise ValueError(
-                f"flow {int(near.int().argmax())}: patches of {sizes} nodes overlap; move the "
-                "bodies apart, take fewer levels, or give FlowConfig(patches=...) one that holds "
-                "them together"
-            )
+        """Raise ValueError for bodies in ``rows`` ``[B]`` that patches cannot hold."""
+        places = self._find_places(bodies)
+        for is_wrong, problem in (
+            (self._find_overlap(places), "patches of {} nodes overlap; move the bodies apart"),
+            (~self._find_inside(places, bodies), "a body is not within its patch of {} nodes"),
+        ):
+            if (is_wrong & rows).any():
+                unit = self._root.level.spacing
+                sizes = [tuple(unit * (n // 2) for n in g.size) for g in self._root.inside]
+                raise ValueError(
+                    f"flow {int((is_wrong & rows).int().argmax())}: {problem.format(sizes)}, take "
+                    "fewer levels, or give FlowConfig(patches=...) that hold the bodies"
+                )
 
-    def _find_overlap(self, tops: Sequence[tuple[Grid, Tensor]]) -> Tensor:
-        """Return ``[B]``: whether patches of the root at given origins share nodes or read them."""
+    def _find_overlap(self, places: Sequence[Place]) -> Tensor:
+        """Return ``[B]``: whether patches of the root share nodes, or read each other's."""
         found = torch.zeros_like(self.flow.clock, dtype=torch.bool)
-        for (one, at), (other, there) in combinations(tops, 2):
-            (w, h), (v, g) = _list_sizes([(one, at), (other, there)])
-            gap = at - there
-            x = (gap[:, 0] < v // 2 + RING) & (gap[:, 0] > -(w // 2) - RING)
-            y = (gap[:, 1] < g // 2 + RING) & (gap[:, 1] > -(h // 2) - RING)
-            found |= x & y
+        at = dict(zip(map(id, self._grids), places, strict=True))
+        for one, other in combinations(self._root.inside, 2):
+            gap = at[id(one)][0] - at[id(other)][0]
+            ahead, behind = (
+                torch.tensor(g.size, device=gap.device) // 2 + RING for g in (other, one)
+            )
+            found |= ((gap < ahead) & (gap > -behind)).all(-1)
+        return found
+
+    def _find_inside(self, places: Sequence[Place], bodies: Sequence[BodyState]) -> Tensor:
+        """Return ``[B]``: whether all bodies lie where their patches are valid."""
+        found = torch.ones_like(self.flow.clock, dtype=torch.bool)
+        reach = RING + self._config.skin.margin
+        for grid, (_, corner) in zip(self._grids, places, strict=True):
+            low = corner[:, None] + reach
+            high = low + torch.tensor(grid.size, device=low.device) - (1 + 2 * reach)
+            for index in grid.level.bodies:
+                outline = locate_markers(self.flow.params.bodies[index], bodies[index])
+                found &= ((outline > low) & (outline < high)).flatten(1).all(-1)
         return found
 
     def before_(self) -> None:
@@ -277,18 +262,9 @@ class RefinedBatch:
 
     def is_fine(self) -> Tensor:
         """Return ``[B]``: density and speed are within the method, and bodies in their patches."""
-        fine = ~self._find_overlap([(grid, grid.origin) for grid in self._root.inside])
-        for grid in self._grids:
-            fine = fine & grid.batch.is_fine()
-        reach = RING + self._config.skin.margin
-        for grid in self._grids:
-            low, size = grid.find_corner(), grid.level.frame.size
-            high = low + torch.tensor(size, device=low.device) - 1
-            for index in grid.level.bodies:
-                outline = locate_markers(self.flow.params.bodies[index], self.flow.bodies[index])
-                inside = (outline > (low + reach)[:, None]) & (outline < (high - reach)[:, None])
-                fine = fine & inside.flatten(1).all(-1)
-        return fine
+        places = [(grid.origin, grid.find_corner()) for grid in self._grids]
+        fine = self._find_inside(places, self.flow.bodies) & ~self._find_overlap(places)
+        return fine & torch.stack([grid.batch.is_fine() for grid in self._grids]).all(0)
 
     def is_lost(self) -> Tensor:
         """Return ``[B]``: the middle of a grid is not finite."""
@@ -312,15 +288,15 @@ class RefinedBatch:
 
         Between the nodes of coarser levels they are linear.
         """
-        field = _read_fields(self._root)
+        field = read_fields(self._root)
         edges = self._config.boundaries
         wraps = isinstance(edges.left, Periodic), isinstance(edges.bottom, Periodic)
         field = pad(field, (0, int(wraps[0]), 0, int(wraps[1])), mode="circular")
-        field = _refine_field(field, self._root.level.spacing)
+        field = refine_field(field, self._root.level.spacing)
         field = field[:, :, : self._config.height, : self._config.width]
         for grid in self._grids[1:]:
-            own = _read_fields(grid)[:, :, RING:-RING, RING:-RING]
-            own = _refine_field(own, grid.level.spacing)
+            own = read_fields(grid)[:, :, RING:-RING, RING:-RING]
+            own = refine_field(own, grid.level.spacing)
             corner = grid.find_corner() + RING * grid.level.spacing
             for row, (x, y) in enumerate(corner.tolist()):
                 field[row, :, y : y + own.shape[2], x : x + own.shape[3]] = own[row]
@@ -338,30 +314,6 @@ class RefinedBatch:
     def load_state_(self, state: Mapping[str, Tensor]) -> None:
         """Restore the tensors of ``name_state``."""
         restore_(self.name_state(), state)
-
-
-def _find_moving(grid: Grid, number: int, by: Tensor) -> Moving:
-    own = grid.batch.memory_of(number)
-    origin = grid.origin[grid.batch.rows_of(number)]
-    return Moving(own.incoming(0), origin, by, own.flow.bodies)
-
-
-def _list_sizes(grids: Sequence[tuple[Grid, Tensor]]) -> list[tuple[int, int]]:
-    return [grid.level.frame.size for grid, _ in grids]
-
-
-def _read_fields(grid: Grid) -> Tensor:
-    """Return density and velocity of a grid ``[B, 3, Y, X]``."""
-    rho, u = grid.batch.macroscopic()
-    return torch.cat((rho[:, None], u), 1)
-
-
-def _refine_field(values: Tensor, factor: int) -> Tensor:
-    """Return values ``[B, C, Y, X]`` at ``factor`` times as many nodes, linear between theirs."""
-    height, width = (factor * (n - 1) + 1 for n in values.shape[-2:])
-    if factor == 1:
-        return values.clone()
-    return interpolate(values, size=(height, width), mode="bilinear", align_corners=True)
 
 
 def make_batch(

@@ -174,8 +174,9 @@ def choose_shift(
     It moves when the followed ``point`` ``[B, 2]``, in nodes of the patch, is more than two of them
     from its middle, while its ``origin`` stays within ``low`` and ``high``.
     """
-    middle = 0.5 * (torch.tensor(size, device=point.device).to(point) - 1.0)
-    wanted = (point - middle > 2.0).long() - (point - middle < -2.0).long()
+    # numbers, as compiled code keeps no constant tensors
+    ahead = [p - 0.5 * (n - 1) for p, n in zip(point.unbind(-1), size, strict=True)]
+    wanted = torch.stack([(d > 2.0).long() - (d < -2.0).long() for d in ahead], -1)
     return clamp_origin(origin + wanted, low, high) - origin
 
 

@@ -21,6 +21,7 @@ from fishrl.physics import (
     Skin,
     Sponge,
 )
+from fishrl.physics.fast.refined import make_batch
 from fishrl.physics.flow import FlowState, make_params, make_rest
 from fishrl.physics.levels.grids import make_patches
 from tests.physics.flows import advance, read_bodies, start_solver
@@ -144,6 +145,21 @@ def test_patches_that_meet_are_refused_and_end_their_flow() -> None:
     assert solver.is_diverged().all()
 
 
+def test_bodies_beyond_their_patch_are_refused_and_end_their_flow() -> None:
+    box = Patch(bodies=(0,), size=(60, 60), centre=(80.0, 48.0))
+    solver = start(make_config(patches=(box,)))
+    assert not solver.is_diverged().any()
+    solver.body.position[0, 0] -= 30.0
+    assert solver.is_diverged().all()
+    with pytest.raises(ValueError, match="a body is not within its patch"):
+        solver.reset_(torch.ones(1, dtype=torch.bool), torch.tensor([[50.0, 48.0]]))
+
+
+def test_levels_on_a_gpu_are_refused() -> None:
+    with pytest.raises(ValueError, match="levels run on a CPU"):
+        make_batch([make_config()], group_size=1, device=torch.device("cuda"), allocate=torch.zeros)
+
+
 def test_reset_puts_patches_around_the_new_place() -> None:
     solver = start(make_config(), 2)
     solver.advance_(40)
@@ -165,10 +181,13 @@ def test_one_tensor_of_populations_is_refused(call: str) -> None:
 
 
 @pytest.mark.compile
-def test_compiled_levels_equal_eager_ones() -> None:
-    compiled, eager = (start(make_config(), compile=compile) for compile in (True, False))
-    for solver in (compiled, eager):
+def test_compiled_levels_equal_eager_ones_also_when_loaded() -> None:
+    compiled, loaded, eager = (
+        start(make_config(), compile=compile) for compile in (True, True, False)
+    )
+    for solver in (compiled, loaded, eager):
         solver.advance_(40)
-    pairs = zip(compiled.state_dict().items(), eager.state_dict().values(), strict=True)
-    for (name, one), other in pairs:
-        torch.testing.assert_close(one, other, rtol=1e-4, atol=2e-6, msg=name)
+    expected, same = eager.state_dict(), loaded.state_dict()
+    for name, value in compiled.state_dict().items():
+        torch.testing.assert_close(value, expected[name], rtol=1e-4, atol=2e-6, msg=name)
+        assert torch.equal(value, same[name]), name
