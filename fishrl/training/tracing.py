@@ -4,6 +4,7 @@ A gradient step of a small network spends most of its time in Python: modules wi
 weights, tensordicts, distributions, autograd. Its tensor operations are the same at each step.
 """
 
+import operator
 from collections.abc import Callable, Sequence
 
 import torch
@@ -23,6 +24,8 @@ _IDLE = (
     torch.ops.profiler._record_function_exit._RecordFunction,
 )
 _TRANSPOSE = torch.ops.aten.t.default
+# They give other views of the same memory.
+_VIEWS = {_TRANSPOSE, torch.ops.aten.unbind.int, torch.ops.aten.view.default, operator.getitem}
 
 
 class Traced:
@@ -94,5 +97,23 @@ def _strip(traced: GraphModule) -> GraphModule:
             node.replace_all_uses_with(node.args[0].args[0])
     graph.eliminate_dead_code()
     graph = fx_graph_cse(graph)
+    graph.eliminate_dead_code()
+    return _keep_views(GraphModule(traced, graph))
+
+
+def _keep_views(traced: GraphModule) -> GraphModule:
+    """Return a graph in which views of kept tensors, such as transposed weights, are kept too."""
+    graph = traced.graph
+    kept = {node: getattr(traced, str(node.target)) for node in graph.find_nodes(op="get_attr")}
+    for node in list(graph.nodes):
+        if node.target not in _VIEWS or not set(node.all_input_nodes) <= kept.keys():
+            continue
+        source, *others = node.args
+        kept[node] = view = node.target(kept[source], *others)
+        if isinstance(view, Tensor):
+            traced.register_buffer(node.name, view)
+            with graph.inserting_before(node):
+                kept[replaced := graph.get_attr(node.name)] = view
+            node.replace_all_uses_with(replaced)
     graph.eliminate_dead_code()
     return GraphModule(traced, graph)
