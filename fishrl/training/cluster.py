@@ -71,7 +71,6 @@ class ClusterCollector:
         self._warmup_frames = -(-settings.warmup_frames // num_envs) * num_envs  # whole batches
         num_gpus = int(flows.device == "cuda")
         self._has_joined = join_cluster(num_collectors, num_gpus=num_gpus * num_collectors)
-        warnings.filterwarnings("ignore", "RayCollector iteration started before weight")
         share = replace(flows, num_envs=num_envs // num_collectors)
         make = partial(_make_seeded, make_env, flows=share)
         self._flows = RayCollector(
@@ -93,7 +92,8 @@ class ClusterCollector:
         """Collect batches ``[num_collectors, flows of each, 1]``, one decision of every flow."""
         batches = iter(self._flows)
         while True:
-            with noticing_losses():
+            with noticing_losses(), warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "RayCollector iteration started before weight")
                 self._send_weights()
                 batch = next(batches).to(self._device)
             if self._frames >= self._warmup_frames:
@@ -144,7 +144,8 @@ class ClusterCollector:
         """Restore a state of ``state_dict`` into as many collectors."""
         self._frames = state_dict["frames"]
         self._explorer.load_state_dict(state_dict["explorer"])
-        self._flows.load_state_dict([OrderedDict(state) for state in state_dict["collectors"]])
+        with noticing_losses():
+            self._flows.load_state_dict([OrderedDict(state) for state in state_dict["collectors"]])
 
     def shutdown(self) -> None:
         """End all flows, and the cluster if it was started here."""
@@ -154,13 +155,20 @@ class ClusterCollector:
 
 @contextmanager
 def noticing_losses() -> Iterator[None]:
-    """Raise ChildProcessError where a collector is found to be lost."""
-    from ray.exceptions import NodeDiedError, ObjectLostError, RayActorError
+    """Raise ChildProcessError where a collector, machine or object is found to be lost.
+
+    Any error of Ray's own counts, as there is one for each thing that can be lost: a training that
+    continues from a checkpoint in vain ends with it. What a collector itself raises is passed on.
+    """
+    from ray.exceptions import RayError, RayTaskError
 
     try:
         yield
-    except (NodeDiedError, ObjectLostError, RayActorError) as error:
-        raise ChildProcessError("a collector of the Ray cluster is lost") from error
+    except RayError as error:
+        if isinstance(error, RayTaskError) and not isinstance(error.cause, RayError):
+            raise
+        what = type(error).__name__
+        raise ChildProcessError(f"a collector of the Ray cluster is lost ({what})") from error
 
 
 def join_cluster(num_collectors: int, *, num_gpus: int = 0) -> bool:
@@ -172,14 +180,19 @@ def join_cluster(num_collectors: int, *, num_gpus: int = 0) -> bool:
     Raises:
         ValueError: see ``check_size``.
     """
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # report nothing to anybody
     import ray
 
     is_new = not ray.is_initialized()
     if is_new:
         local = {"address": "local", "num_cpus": num_collectors, "include_dashboard": False}
         given: dict[str, Any] = {} if "RAY_ADDRESS" in os.environ else local
-        ray.init(log_to_driver=False, logging_level=logging.WARNING, **given)
+        is_silent = "RAY_USAGE_STATS_ENABLED" not in os.environ
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # report nothing to anybody
+        try:
+            ray.init(log_to_driver=False, logging_level=logging.WARNING, **given)
+        finally:
+            if is_silent:
+                del os.environ["RAY_USAGE_STATS_ENABLED"]
     check_size(num_collectors, num_gpus=num_gpus)
     num_cpus = ray.cluster_resources()["CPU"]
     logger.info("%d collectors on a cluster of %d CPUs", num_collectors, num_cpus)

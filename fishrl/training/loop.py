@@ -52,10 +52,12 @@ class Training:
         self._began = time.perf_counter()
         opened.check()
         self._generators_before = RNGState().state_dict()  # the caller's
-        self.opened = opened = opened.enter()
+        before, self.opened = opened, opened.enter()
+        opened = self.opened
         self.folder, self.plan, self.task = opened.folder, opened.plan, opened.task
         self.counters, self.interruption = Counters(), interruption or Interruption()
         self.callbacks, self._lock = join(callbacks), self.folder.hold()
+        before.check_current(self.folder)
         write_yaml(self.folder.config, opened.stored | self.plan.to_config())
         logger.info("run folder: %s", self.folder.path)
         if self.plan.total_frames <= self.plan.warmup_frames:

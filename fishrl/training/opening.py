@@ -18,7 +18,7 @@ from fishrl.training.baselines import choose_baselines
 from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.run_folder import RunFolder, read_config, read_summary
+from fishrl.training.run_folder import CHANGED, HeldError, RunFolder, read_config, read_summary
 
 #: Settings that a run keeps when it continues, regardless of the settings given.
 _OWN = ("recognition", "logger", "folder", "name")
@@ -108,6 +108,13 @@ class Opened:
         if plan.recognition is not None:
             plan = replace(plan, recognition=plan.recognition.keep(folder.path))
         return replace(self, plan=plan, folder=folder, stored=plan.to_config())
+
+    def check_current(self, folder: RunFolder) -> None:
+        """Raise HeldError if another process has gone on with the run since it was read."""
+        frames = Checkpoint.read(folder.last).frames if folder.has_begun() else None
+        known = None if self.checkpoint is None else self.checkpoint.frames
+        if frames != known or folder.config.is_file() != bool(self.stored):
+            raise HeldError(f"run folder {folder.path}: {CHANGED}")
 
 
 def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:

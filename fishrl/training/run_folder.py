@@ -30,6 +30,10 @@ class Stored(BaseModel):
     model_config = ConfigDict(strict=True)
 
 
+#: What to do about a run that changed between two looks at it.
+CHANGED = "another process has gone on with it meanwhile; repeat the command"
+
+
 class HeldError(ValueError):
     """Another process writes the run."""
 
@@ -51,7 +55,7 @@ class RunFolder:
     def create(cls, *, parent: str, name: str, reuse: bool = False) -> RunFolder:
         """Make a new folder; if the name exists, a number is appended to it.
 
-        With ``reuse`` a folder of that name is taken if it holds no run yet.
+        With ``reuse`` a folder of that name is taken, or HeldError raised if it holds a run by now.
         """
         base = Path(parent).expanduser()
         paths = (base / (name if n == 1 else f"{name}-{n}") for n in itertools.count(1))
@@ -60,8 +64,10 @@ class RunFolder:
             try:
                 path.mkdir(parents=True)
             except FileExistsError:
-                if not reuse or cls(path).config.is_file():
+                if not reuse:
                     continue
+                if cls(path).config.is_file():
+                    raise HeldError(f"run folder {path}: {CHANGED}") from None
             return cls(path)
 
     @classmethod

@@ -14,9 +14,10 @@ from fishrl.envs import Flows, PredationPair, make_env
 from fishrl.training import complete, open_run
 from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.cluster import ClusterCollector, noticing_losses
+from fishrl.training.collector import ResumableCollector
 from fishrl.training.loop import Training
 from tests.envs.conftest import SMALL, move_kinematically
-from tests.training.conftest import Toy, make_toy_plan, read_rows
+from tests.training.conftest import QUICK, Toy, make_toy_plan, read_rows
 
 
 def test_invalid_numbers_of_collectors_are_refused(
@@ -134,16 +135,6 @@ def test_collectors_use_newest_weights_and_count_frames(
 
 
 @pytest.mark.cluster
-@pytest.mark.parametrize("loss", ["ActorUnavailableError", "ObjectReconstructionFailedError"])
-def test_every_loss_of_ray_is_a_lost_collector(loss: str) -> None:
-    from ray import exceptions
-
-    kind = getattr(exceptions, loss)
-    with pytest.raises(ChildProcessError, match="is lost"), noticing_losses():
-        raise kind.__new__(kind)
-
-
-@pytest.mark.cluster
 def test_cluster_that_is_too_small_is_refused(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
     import ray
 
@@ -151,3 +142,67 @@ def test_cluster_that_is_too_small_is_refused(toy: Toy, monkeypatch: pytest.Monk
     monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 1.0})
     with pytest.raises(ValueError, match="the cluster has 1 CPUs, and each takes one"):
         toy.begin(ray_collectors=2)
+
+
+def list_losses() -> list[type[Exception]]:
+    """List Ray's errors, but for those of a collector's own code."""
+    from ray import exceptions
+
+    kinds = [kind for kind in vars(exceptions).values() if isinstance(kind, type)]
+    return [
+        kind
+        for kind in kinds
+        if issubclass(kind, exceptions.RayError) and not issubclass(kind, exceptions.RayTaskError)
+    ]
+
+
+def make_error(kind: type[Exception]) -> Exception:
+    error = kind.__new__(kind)
+    error.args = ("lost",)
+    return error
+
+
+@pytest.mark.cluster
+def test_every_loss_that_ray_knows_is_noticed_and_errors_of_collectors_are_passed_on() -> None:
+    from ray.exceptions import NodeDiedError, RayTaskError
+
+    losses = list_losses()
+    assert len(losses) > 20
+    for kind in losses:
+        with pytest.raises(ChildProcessError, match=kind.__name__), noticing_losses():
+            raise make_error(kind)
+    for cause, expected in (
+        (ValueError("wrong"), ValueError),
+        (NodeDiedError("gone"), ChildProcessError),
+    ):
+        error = RayTaskError("collect", "", cause).as_instanceof_cause()
+        with pytest.raises(expected), noticing_losses():
+            raise error
+
+
+@pytest.mark.parametrize("when", ["collect", "save"])
+def test_training_continues_from_its_checkpoint_whatever_was_asked_when_a_machine_was_lost(
+    toy: Toy, monkeypatch: pytest.MonkeyPatch, when: str
+) -> None:
+    """Without Ray: the local collector raises what losses are turned into."""
+    lost = ChildProcessError("a collector of the Ray cluster is lost")
+    calls = itertools.count(1)
+    whole = toy.begin(name="whole", **QUICK)
+    complete(whole)
+
+    def lose(method: Any, numbers: tuple[int, ...]) -> Any:
+        def call(*arguments: Any, **named: Any) -> Any:
+            if next(calls) in numbers:
+                raise lost
+            return method(*arguments, **named)
+
+        return call
+
+    training = toy.begin(name="run", **QUICK)
+    if when == "collect":
+        monkeypatch.setattr(Training, "_collect", lose(Training._collect, (17,)))
+    else:
+        state = ResumableCollector.state_dict
+        monkeypatch.setattr(ResumableCollector, "state_dict", lose(state, (3,)))
+    complete(training)
+    assert toy.rows("run") == read_rows(whole.folder.path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -10,9 +11,11 @@ import pytest
 from fishrl.envs import Flows, KarmanGait, Oracle, Predation, make_env
 from fishrl.envs.streams import Stream
 from fishrl.physics import InPlaceSolver
-from fishrl.training import Plan, open_run
+from fishrl.training import Plan, complete, open_run
+from fishrl.training.loop import Training
+from fishrl.training.run_folder import HeldError
 from tests.envs.conftest import SMALL
-from tests.training.conftest import Toy
+from tests.training.conftest import QUICK, Toy, make_run_folder, make_toy_plan
 
 
 def test_baseline_with_wakes_is_checked_without_developing_them(tmp_path: Path) -> None:
@@ -60,3 +63,33 @@ def test_labels_lengthen_the_observation_of_the_policy() -> None:
     )
     num_flows = len(task.flow_labels)
     assert with_labels.spec.num_observed == without.spec.num_observed + num_flows
+
+
+@pytest.mark.parametrize("gamma", [0.99, 0.5])
+@pytest.mark.parametrize("seen", ["nothing", "folder", "checkpoint"])
+@pytest.mark.parametrize("done", ["begun", "saved", "finished"])
+def test_run_that_another_process_has_gone_on_with_since_it_was_read_is_left_alone(
+    toy: Toy, seen: str, done: str, gamma: float
+) -> None:
+    """One run is opened, the other one with its name goes on, then the first would begin."""
+    settings: dict[str, Any] = QUICK | {
+        "name": "run",
+        "gamma": gamma if seen != "nothing" else 0.99,
+    }
+    if seen == "checkpoint":
+        complete(toy.begin(**settings, total_frames=80))
+    elif seen == "folder":
+        make_run_folder(make_toy_plan(toy.folder, **settings))
+    late = open_run(make_toy_plan(toy.folder, **settings | {"gamma": gamma}, total_frames=240))
+    frames = {"begun": 88, "saved": 160, "finished": 240}[done]
+    other = toy.begin(**settings, total_frames=frames)
+    if done != "begun":
+        complete(other)
+    other.close()
+    before = other.folder.config.read_text(), other.folder.metrics.exists()
+    is_unchanged = done == "begun" and seen != "nothing"
+    with nullcontext() if is_unchanged else pytest.raises(HeldError, match="repeat the command"):
+        Training(late).close()
+    if not is_unchanged:
+        assert before == (other.folder.config.read_text(), other.folder.metrics.exists())
+        assert [path.name for path in toy.folder.iterdir()] == ["run"]
