@@ -44,7 +44,7 @@ CASES = {
     ),
 }
 #: Kernels of one step, launched one after the other.
-MOST_LAUNCHES = {"cylinder": 28, "free and commanded fish": 36}
+MOST_LAUNCHES = {"cylinder": 28, "free and commanded fish": 35}
 LONG = [pytest.mark.slow] if IS_PRETENDED else []
 REPLAY = Repeater._replay  # recorded here, and nowhere else on the pretended device
 
