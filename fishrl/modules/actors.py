@@ -93,17 +93,19 @@ def make_twin_critics(
     num_actions: int,
     hidden: Sequence[int] = (256, 256),
     keys: Sequence[str] = ("observation_stack",),
+    is_normed: bool = False,
     generator: torch.Generator | None = None,
 ) -> list[TensorDictModule]:
     """Build two independent critics.
 
     Each reads ``keys``, with ``num_inputs`` numbers in all, and writes ``action_value``
-    ``[..., num_actions]``, also of illegal actions, to which the policy gives probability 0. Other
-    arguments are those of ``make_actor``. The result is a list because TorchRL's loss resamples the
-    weights of a single critic that it duplicates.
+    ``[..., num_actions]``, also of illegal actions, to which the policy gives probability 0. With
+    ``is_normed`` they have layer normalisation. Other arguments are those of ``make_actor``. The
+    result is a list because TorchRL's loss resamples the weights of a single critic that it
+    duplicates.
     """
     widths = [num_inputs, *hidden, num_actions]
-    networks = (make_mlp(widths, generator=generator) for _ in range(2))
+    networks = (make_mlp(widths, is_normed=is_normed, generator=generator) for _ in range(2))
     return [_read(keys, network, "action_value") for network in networks]
 
 

@@ -16,7 +16,7 @@ from fishrl.training.learner import Learner
 from fishrl.training.tracing import Traced
 from tests.training.conftest import Toy
 
-ALGORITHMS = [DiscreteSAC(), DQN(is_double=True), SAC()]
+ALGORITHMS = [DiscreteSAC(norms_critics=True), DQN(is_double=True), SAC()]
 
 
 @pytest.fixture(params=ALGORITHMS, ids=lambda algorithm: type(algorithm).__name__)

@@ -18,6 +18,7 @@ class DiscreteSAC(Algorithm):
     Args:
         alpha_init: initial temperature.
         target_entropy_weight: target entropy as a share of the largest possible one.
+        norms_critics: whether critics have layer normalisation, as those of ``SAC`` do.
     """
 
     is_traced = True
@@ -26,6 +27,7 @@ class DiscreteSAC(Algorithm):
 
     alpha_init: Annotated[float, Field(gt=0, le=1e6)] = 1.0
     target_entropy_weight: Annotated[float, Field(ge=0, le=1)] = 0.1
+    norms_critics: bool = False
 
     def make_policy(
         self, spec: PolicySpec, generator: torch.Generator | None = None
@@ -38,7 +40,9 @@ class DiscreteSAC(Algorithm):
     ) -> MaskedDiscreteSACLoss:
         """Make the loss with twin critics."""
         device = next(policy.parameters()).device
-        critics = make_twin_critics(**spec.critic_sizes, generator=generator)
+        critics = make_twin_critics(
+            **spec.critic_sizes, is_normed=self.norms_critics, generator=generator
+        )
         return MaskedDiscreteSACLoss(
             policy,
             [critic.to(device) for critic in critics],
