@@ -60,4 +60,4 @@ def panels(
         for axes in figure.axes:
             spell_decades(axes)
         with staged(Path(path)) as stage:
-            figure.savefig(stage)
+            figure.savefig(stage, bbox_inches="tight")  # legends beside the axes, too

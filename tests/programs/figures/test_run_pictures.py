@@ -85,9 +85,9 @@ def test_trajectories_show_obstacles_and_endings(
 ) -> None:
     figures, save = list[Figure](), Figure.savefig
 
-    def note(figure: Figure, path: Path) -> None:
+    def note(figure: Figure, path: Path, **options: Any) -> None:
         figures.append(figure)
-        save(figure, path)
+        save(figure, path, **options)
 
     monkeypatch.setattr(Figure, "savefig", note)
     square = torch.tensor([(80.0, 40.0), (90.0, 40.0), (90.0, 50.0), (80.0, 50.0)])
@@ -107,6 +107,18 @@ def test_trajectories_show_obstacles_and_endings(
     legend = axes.get_legend()
     words = " ".join(t.get_text() for t in (legend.get_title(), *legend.get_texts()))
     assert "4.0 T, caught" in words and "food" not in words
+
+
+def test_nothing_of_trajectories_is_cut_off(tmp_path: Path) -> None:
+    """Of a small tank without a goal, with many episodes: the border of the picture is white."""
+    recordings = [make_recording() for _ in range(12)]
+    for recording in recordings:
+        tank = {"width": 140, "height": 40, "marks": (), "areas": ()}
+        recording.scene = dataclasses.replace(recording.scene, **tank)
+    write_trajectories(recordings, tmp_path / "x.png")
+    picture = np.asarray(Image.open(tmp_path / "x.png").convert("L"))
+    for border in (picture[0], picture[-1], picture[:, 0], picture[:, -1]):
+        assert (border > 250).all()
 
 
 def test_colour_limits_are_symmetric_and_round() -> None:
