@@ -32,8 +32,9 @@ def check_tau(tau: float, *, given: tuple[str, str, str] | None = None) -> None:
         if given is not None:
             length, speed, reynolds = given
             remedy = f"{up} {length}, {up} {speed} or {down} {reynolds}"
-        allowed = f"[{MIN_TAU}, {MAX_TAU}]"
-        raise ValueError(f"tau = {tau:.5f} lies outside the validated range {allowed}: {remedy}")
+        raise ValueError(
+            f"tau = {tau:.5f} lies outside the validated range [{MIN_TAU}, {MAX_TAU}]: {remedy}"
+        )
 
 
 def compute_tau(*, length: float, speed: float, reynolds: float) -> float:

@@ -35,7 +35,6 @@ WRITTEN = {
     "tutorials/fish_in_a_stream.md": ["fish_in_a_stream.png"],
     "gymnasium.md": ["films", "fish.zip"],
     "tutorials/lateral_line.md": ["classifier.pt"],
-    "tutorials/new_task.md": ["runs"],
 }
 
 
