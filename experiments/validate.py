@@ -27,7 +27,7 @@ NAMES = (
     *("taylor_green", "poiseuille", "cavity", "invariance", "slip", "channel_cylinder"),
     *("free_cylinder", "d_cylinder", "edges", "outflow", "oscillating_cylinder"),
     *("conservation", "rotating_cylinder", "settling_disc", "sheared_ellipse", "swimmer"),
-    *("sharp_swimmer", "energy_budget"),
+    *("sharp_swimmer", "levels", "energy_budget"),
     *("gaits", "turning", "pitching_pair", "c_start", "compressibility", "stability"),
 )
 CASES: tuple[Case, ...] = tuple(

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from fishrl.envs import FlowEnv, Flows, KarmanGait, Predation
+from tests.envs.conftest import act
 
 TASK: dict[str, Any] = {
     "body_length": 16,
@@ -43,9 +44,8 @@ def test_task_that_levels_cannot_carry_is_refused(
 def test_environment_acts_and_resumes_on_levels() -> None:
     flows = Flows(num_envs=2, compile=False, num_workers=0)
     env, twin = (FlowEnv(task=Predation(**TASK), flows=flows, seed=1) for _ in range(2))
-    started = env.reset()
-    action = env.full_action_spec.rand()
-    after = env.step(started.update(action))["next"]
+    env.reset()
+    after = act(env, 1, 1)
     assert after["observation"].isfinite().all() and not after["terminated"].any()
     assert env.solver.body.age.tolist() == [float(env.task.n_substeps)] * 2
     twin.reset()

@@ -26,6 +26,7 @@ from fishrl.physics.levels.grids import Level, find_point, place_patch, plan_lev
 from fishrl.physics.levels.patch import RING
 
 Allocate = Callable[[int], Tensor]
+Pairs = list[tuple[Tensor, Tensor]]
 Place = tuple[Tensor, Tensor]  # origin in the parent, corner in nodes of the finest level
 Calls = list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]
 
@@ -63,8 +64,9 @@ class RefinedBatch:
         }
         self._moving = [list(top.walk()) for top in self._root.inside if top.level.follows]
         self._choices = [make_shift_choice([g.level for g in chain]) for chain in self._moving]
-        self._steps = {number: self._list_pair(number) for number in self.groups}
-        self._repeaters = {number: Repeater(steps) for number, steps in self._steps.items()}
+        self._repeaters = {number: Repeater(self._list_pair(number)) for number in self.groups}
+        self._ends = {number: Repeater(self._list_end(number)) for number in self.groups}
+        self._params, self._states = self._pair_bodies()
 
     def _add(self, levels: Sequence[Level], parent: Grid | None, allocate: Allocate) -> Grid:
         """Make a grid of all flows, of which ``levels`` are their own, and those inside it."""
@@ -216,29 +218,41 @@ class RefinedBatch:
                 found &= ((outline > low) & (outline < high)).flatten(1).all(-1)
         return found
 
+    def _pair_bodies(self) -> tuple[Pairs, Pairs]:
+        """Return parameters and states of the bodies: tensors of their grids, and of all."""
+        params: Pairs = []
+        states: Pairs = []
+        for grid in self._grids:
+            own = grid.batch.flow
+            for place, number in enumerate(grid.level.bodies):
+                both = own.params.bodies[place], self.flow.params.bodies[number]
+                params += zip(*map(pytree.tree_leaves, both), strict=True)
+                states += zip(own.bodies[place], self.flow.bodies[number], strict=True)
+        return params, states
+
     def before_(self) -> None:
         """Hand numbers and bodies to the grids."""
+        pairs = [*self._params, *self._states]
         for grid in self._grids:
-            own, level = grid.batch.flow, grid.level
-            own.clock.copy_(self.flow.clock / level.spacing)
-            copy_tree(own.params, level.convert(self.flow.params))
-            for index, body in zip(level.bodies, own.bodies, strict=True):
-                copy_tree(body, self.flow.bodies[index])
+            own, params = grid.batch.flow, grid.level.convert(self.flow.params)
+            pairs += zip(own.params[:-1], params[:-1], strict=True)
+            pairs.append((own.clock, self.flow.clock / grid.level.spacing))
+        _copy(pairs)
+        for grid in self._grids:
+            for body in grid.batch.flow.bodies:
                 body.position.sub_(grid.find_corner())
 
     def after_(self, wanted: Collection[int]) -> None:
         """Take the numbers of some groups back from the grids."""
-        for number in wanted:
-            rows = self._root.batch.rows_of(number)
-            clock = self._root.batch.flow.clock[rows] * self._root.level.spacing
-            self.flow.clock[rows] = clock
-            for grid in self._grids:
-                corner = grid.find_corner()[rows]
-                pairs = zip(grid.level.bodies, grid.batch.flow.bodies, strict=True)
-                for index, body in pairs:
-                    for own, new in zip(self.flow.bodies[index], body, strict=True):
-                        own[rows] = new[rows]
-                    self.flow.bodies[index].position[rows] += corner
+        for grid in self._grids:
+            for body in grid.batch.flow.bodies:
+                body.position.add_(grid.find_corner())
+        clock = self._root.batch.flow.clock * self._root.level.spacing
+        pairs = [(self.flow.clock, clock), *((given, own) for own, given in self._states)]
+        rows = [self._root.batch.rows_of(number) for number in wanted]
+        if sum(own.stop - own.start for own in rows) < len(clock):
+            pairs = [(to[own], new[own]) for own in rows for to, new in pairs]
+        _copy(pairs)
 
     def advance_(self, num_steps: int, wanted: Collection[int]) -> None:
         """Advance the wanted groups, as far as they belong to this process."""
@@ -248,11 +262,13 @@ class RefinedBatch:
                 for part, tensors in self._list_located(number):
                     part.run(*tensors)
                 self._repeaters[number].run(num_pairs)
-                # what is read or stored is valid everywhere
-                whole = [grid.transfers[2] for grid in reversed(self._grids[1:])]
-                filled = [grid.transfers[0] for grid in self._grids[1:]]
-                for part in (*whole, *filled):
-                    part.run(*self._arguments[part, number][0])
+                self._ends[number].run(1)
+
+    def _list_end(self, number: int) -> list[Bound]:
+        """Return what makes all nodes valid, to be read or stored: restriction and filling."""
+        whole = [grid.transfers[2] for grid in reversed(self._grids[1:])]
+        filled = [grid.transfers[0] for grid in self._grids[1:]]
+        return [(part, self._arguments[part, number][0]) for part in (*whole, *filled)]
 
     def fill_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
         """Set all nodes of the flows in ``rows`` ``[B]`` to populations ``[B]``; place patches."""
@@ -314,6 +330,13 @@ class RefinedBatch:
     def load_state_(self, state: Mapping[str, Tensor]) -> None:
         """Restore the tensors of ``name_state``."""
         restore_(self.name_state(), state)
+
+
+def _copy(pairs: Pairs) -> None:
+    """Copy the second tensor of each pair to the first."""
+    if pairs:
+        to, new = zip(*pairs, strict=True)
+        torch._foreach_copy_(to, new)
 
 
 def make_batch(
