@@ -166,7 +166,7 @@ class Repeater:
     """A pair of an even and an odd step, which repeats: recorded on a CPU, a graph on a GPU."""
 
     def __init__(self, steps: Sequence[tuple[Step, Sequence[Tensor]]]) -> None:
-        self._steps, self._device = steps, steps[0][1][0].device
+        self._steps, self._is_cuda = steps, bool(steps) and steps[0][1][0].device.type == "cuda"
         self._calls: list[Call] = []  # recorded in the first pair
         self._graphs: dict[int, torch.cuda.CUDAGraph] = {}  # by number of pairs
 
@@ -174,7 +174,7 @@ class Repeater:
         """Advance by pairs of steps."""
         if not num_pairs:
             return
-        if self._device.type == "cuda":
+        if self._is_cuda:
             self._run_graphs(num_pairs)
             return
         if not self._calls:
@@ -201,7 +201,7 @@ class Repeater:
 
     def _replay(self, num_pairs: int) -> None:
         """Advance by pairs of steps that are launched as one CUDA graph, recorded once."""
-        with torch.cuda.device(self._device):
+        with torch.cuda.device(self._steps[0][1][0].device):
             if num_pairs not in self._graphs:
                 graph = torch.cuda.CUDAGraph()
                 with torch.cuda.graph(graph):

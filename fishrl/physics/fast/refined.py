@@ -1,6 +1,6 @@
 """A batch of flows with levels: one ``FlowBatch`` for each grid, and the parts between them."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import combinations
 
 import torch
@@ -64,6 +64,7 @@ class RefinedBatch:
         }
         self._moving = [list(top.walk()) for top in self._root.inside if top.level.follows]
         self._choices = [make_shift_choice([g.level for g in chain]) for chain in self._moving]
+        self._begins = {number: Repeater(self._list_located(number)) for number in self.groups}
         self._repeaters = {number: Repeater(self._list_pair(number)) for number in self.groups}
         self._ends = {number: Repeater(self._list_end(number)) for number in self.groups}
         self._params, self._states = self._pair_bodies()
@@ -93,7 +94,6 @@ class RefinedBatch:
         ]
         bound = zip(self._choices, chains, strict=True)
         choices = [(part, part.bind(chain)) for part, chain in bound]
-        located = list(self._list_located(number))
         steps: list[tuple[Step, Sequence[Tensor]]] = []
         for parity in (0, 1):
             steps += [(part, arguments[parity]) for part, arguments in choices]
@@ -103,7 +103,8 @@ class RefinedBatch:
                 for at in [parity if grid.parent is self._root else 0]
             ]
             if chains:
-                steps.append((Shifting(chains, block, fills, located), ()))
+                located = self._begins[number]
+                steps.append((Shifting(chains, block, Repeater(fills), located), ()))
             steps += self._list_step(self._root, number, parity)
         return steps
 
@@ -118,11 +119,14 @@ class RefinedBatch:
                 steps += self._list_step(patch, number, half)
         return steps + [(part, arguments[1 - parity]) for part, arguments in taken]
 
-    def _list_located(self, number: int) -> Iterator[Bound]:
+    def _list_located(self, number: int) -> list[Bound]:
+        """Return what finds out where still bodies and sharp skins are."""
+        found: list[Bound] = []
         for grid in self._grids:
             stepper, group = grid.batch.stepper, grid.batch.groups[number]
             if stepper.locate is not None:
-                yield stepper.locate, group.arguments[stepper.locate][1]
+                found.append((stepper.locate, group.arguments[stepper.locate][1]))
+        return found
 
     def _list_transfers(self) -> list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]:
         """Return the parts between grids with the first group's arguments."""
@@ -259,8 +263,7 @@ class RefinedBatch:
         num_pairs = num_steps // self._root.level.spacing // 2
         for number in self.groups:
             if number in wanted and num_pairs:
-                for part, tensors in self._list_located(number):
-                    part.run(*tensors)
+                self._begins[number].run(1)
                 self._repeaters[number].run(num_pairs)
                 self._ends[number].run(1)
 

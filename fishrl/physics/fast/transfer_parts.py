@@ -8,7 +8,7 @@ from torch import Tensor
 
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.fast.flow_memory import GroupMemory
-from fishrl.physics.fast.part import Bound, Part
+from fishrl.physics.fast.part import Part, Repeater
 from fishrl.physics.fast.recording import Call
 from fishrl.physics.lattice import Q
 from fishrl.physics.levels.grids import Frame, Level, find_middle, find_shift
@@ -178,7 +178,7 @@ class Shifting:
     """
 
     def __init__(
-        self, chains: Sequence[Chain], by: Tensor, before: Sequence[Bound], after: Sequence[Bound]
+        self, chains: Sequence[Chain], by: Tensor, before: Repeater, after: Repeater
     ) -> None:
         self._chains, self._before, self._after, self._by = chains, before, after, by.numpy()
 
@@ -186,8 +186,7 @@ class Shifting:
         """Move what is due, which is rare."""
         if not self._by.any():
             return
-        for part, tensors in self._before:
-            part.run(*tensors)
+        self._before.run(1)
         for chain in self._chains:
             for patch, inside in zip(chain.patches, (*chain.patches[1:], None), strict=True):
                 for row, (x, y) in enumerate(patch.by.tolist()):
@@ -198,8 +197,7 @@ class Shifting:
                     body.position.sub_(2 * patch.by)
                 if inside is not None:
                     inside.origin.sub_(2 * patch.by)
-        for part, tensors in self._after:
-            part.run(*tensors)
+        self._after.run(1)
 
     def record(self, tensors: Sequence[Tensor]) -> list[Call]:
         """Run once, and return the call that does it again."""
