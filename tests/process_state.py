@@ -15,6 +15,8 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import scipy.sparse  # imported later, they would add filters of warnings
+import scipy.special  # noqa: F401
 import torch
 
 
@@ -32,7 +34,7 @@ def read_process_state() -> dict[str, Any]:
         "numpy.random": str(np.random.get_state()),  # noqa: NPY002
         "torch generator": torch.get_rng_state().tolist(),
         "cuda generators": [one.tolist() for one in torch.cuda.get_rng_state_all()],
-        "warnings": [str(entry) for entry in warnings.filters],
+        "warnings": [str(entry) for entry in warnings.filters if _is_ours(entry[2])],
         "flushes denormals": float(tiny * 0.5) == 0.0,
         "numpy errors": np.geterr(),
         "default dtype": torch.get_default_dtype(),
@@ -56,6 +58,11 @@ def read_process_state() -> dict[str, Any]:
         "locale": locale.setlocale(locale.LC_ALL),
         "matplotlib": str(mpl.rcParams),
     }
+
+
+def _is_ours(category: type) -> bool:
+    """Return whether a filter is not what a library adds for itself as it is imported."""
+    return category.__module__.partition(".")[0] in ("builtins", "fishrl", "torch")
 
 
 @contextmanager

@@ -195,9 +195,15 @@ def run_hydra(run: Callable[[DictConfig], None], name: str | None, words: Sequen
         name: name of a program.
         words: options of hydra, and overrides.
     """
+    arguments, variables = list(sys.argv), dict(os.environ)
     sys.argv[1:] = words
     os.environ["HYDRA_FULL_ERROR"] = "1"  # let hydra raise its errors
-    hydra.main(version_base="1.3", config_path=str(CONF), config_name=name)(run)()
+    try:
+        hydra.main(version_base="1.3", config_path=str(CONF), config_name=name)(run)()
+    finally:
+        sys.argv[:] = arguments
+        if "HYDRA_FULL_ERROR" not in variables:
+            del os.environ["HYDRA_FULL_ERROR"]
 
 
 def quote(value: str) -> str:

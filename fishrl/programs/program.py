@@ -32,6 +32,7 @@ from textwrap import fill
 from types import FrameType
 from typing import Any, NoReturn, TypeVar
 
+import torch
 import yaml
 from pydantic import AfterValidator
 from tqdm import tqdm
@@ -72,9 +73,9 @@ class Program:
         if not gc.isenabled():
             gc.freeze()  # what imports made is kept to the end
             gc.enable()
-        set_up_logging()
         words = list(sys.argv[1:] if arguments is None else arguments)
-        with plain_errors(), handling_signals(interrupt):
+        generators = torch.random.fork_rng(devices=[])
+        with generators, set_up_logging(), plain_errors(), handling_signals(interrupt):
             options = split_options(words)
             if options.help:
                 print(self.describe(words))
@@ -214,12 +215,25 @@ def read_arguments(kind: type) -> dict[str, str]:
     return texts
 
 
-def set_up_logging() -> None:
-    """Print log lines above the progress bar; TorchRL logs warnings only."""
-    level = os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # for other processes, too
-    logging.getLogger("torchrl").setLevel(level)
+@contextmanager
+def set_up_logging() -> Iterator[None]:
+    """Print log lines above the progress bar; TorchRL logs warnings only. Restores what was set."""
+    root, name = logging.getLogger(), "RL_LOGGING_LEVEL"
+    loggers = root, logging.getLogger("torchrl"), logging.getLogger("hydra")
+    levels, handlers = [logger.level for logger in loggers], list(root.handlers)
+    is_given = name in os.environ
+    level = os.environ.setdefault(name, "WARNING")  # for other processes, too
+    loggers[1].setLevel(level)
     logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[_AboveBar()])
-    logging.getLogger("hydra").setLevel(logging.CRITICAL)  # its errors are raised too
+    loggers[2].setLevel(logging.CRITICAL)  # its errors are raised too
+    try:
+        yield
+    finally:
+        root.handlers[:] = handlers
+        for logger, former in zip(loggers, levels, strict=True):
+            logger.setLevel(former)
+        if not is_given:
+            del os.environ[name]
 
 
 class _AboveBar(logging.Handler):

@@ -74,12 +74,14 @@ class Launch:
 
     def __call__(self, config: DictConfig) -> None:
         """Run the job that hydra has composed."""
-        set_up_logging()
-        leave_ending_to_sweep()
-        overrides = list(HydraConfig.get().overrides.task)
-        GlobalHydra.instance().clear()  # to read the command line of the job as the job will
-        run = run_job(self.plan(overrides))
-        logger.info("%s: %s%s", run.path.name, run.status, f": {run.reason}" if run.reason else "")
+        with set_up_logging():
+            leave_ending_to_sweep()
+            overrides = list(HydraConfig.get().overrides.task)
+            GlobalHydra.instance().clear()  # to read the command line of the job as the job will
+            run = run_job(self.plan(overrides))
+            logger.info(
+                "%s: %s%s", run.path.name, run.status, f": {run.reason}" if run.reason else ""
+            )
 
 
 def sweep(arguments: Sequence[str]) -> None:
