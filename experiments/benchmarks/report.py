@@ -163,7 +163,7 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
 
 #: Marks on the page, and the groups whose tables stand between them; goals summarise the others.
 PRESETS, MEASURED = "presets", "measured"
-PAGE = {PRESETS: ("steps", "decisions"), MEASURED: ("solver", "coupled", "gpu")}
+PAGE = {PRESETS: ("steps", "decisions"), MEASURED: ("coupled", "gpu")}
 
 
 def render_results(results: Results, mark: str | None = None) -> str:

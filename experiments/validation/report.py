@@ -24,16 +24,17 @@ Result = tuple[Case, Mapping[str, Any]]
 HEADS = ("quantity", "ours", "reference", "error", "tolerance", "verdict", "resolution")
 #: Where the first sentence of a note ends; "2.5" and "e.g." end none.
 FIRST_SENTENCE = re.compile(r"(?<=\w[\w)]\.) (?=[A-Z])")
-SUMMARY = ("case", "quantity", "ours", "accepted", "deviation", "verdict")
+SUMMARY = ("case", "quantity", "ours", "accepted", "verdict")
 INTRODUCTION = """\
 How closely the flow solver and the swimming fish agree with exact solutions, other codes and
 experiments: every acceptance criterion with its result, and the reason for each miss. A case's link
 leads to its set-up, figure and all quantities on the site, and to the same numbers as JSON in the
 repository."""
 EXPLANATION = """\
-*Accepted* is a range, or a reference with its tolerance; *deviation* is measured from the reference
-or the nearer end of the range, and is relative to it unless marked ±. *Recorded* quantities have no
-criterion and are on the cases' pages, but for one that stands for its case here."""
+*Accepted* is a range, or a reference with its tolerance. A miss gives its deviation from the
+reference or the nearer end of the range, relative to it unless marked ±; the other deviations are
+on the cases' pages. *Recorded* quantities have no criterion and are there, too, but for one that
+stands for its case here."""
 
 
 def write_report(outcomes: Sequence[Outcome], *, folder: Path, command: str, commit: str) -> None:
@@ -118,7 +119,8 @@ def _render_criteria(results: Sequence[Result]) -> str:
             accepted = f"{reference} ± {tolerance.removeprefix('± ')}"
             if tolerance in ("–", "inside"):
                 accepted = reference
-            table.append((link, quantity, ours, accepted, error, verdict))
+            by = f", {error}" if row["verdict"] == MISSED else ""
+            table.append((link, quantity, ours, accepted, verdict + by))
     return write_table(SUMMARY, table)
 
 

@@ -103,7 +103,7 @@ def test_full_run_writes_report_and_fails_with_missed_criterion(
 ) -> None:
     status, docs = run_program(tmp_path, monkeypatch, reference=8.0, note="Nine is not eight.")
     assert status == 1
-    row = "| square of the last | 9 | 8 ± 1 % | 12 % | **MISSED** |"
+    row = "| square of the last | 9 | 8 ± 1 % | **MISSED**, 12 % |"
     page = (docs / "validation.md").read_text()
     assert f"| [Squares](validation/squares.json) {row}" in page
     assert "- [Squares](validation/squares.json), *square of the last*: Nine is not" in page

@@ -97,4 +97,4 @@ def test_page_changes_only_between_marks(results: Results, tmp_path: Path) -> No
         assert text.startswith(f"before\n\n{BEGIN}\na machine, 2 cores")
         assert text.endswith(f"![Bandwidth](figures/roofline.png)\n{END}\n\nafter\n")
         assert "last year" not in text
-        assert "| 1 × 1000 × 1000, large/walls | with walls | 1000 [995, 1005]" in text
+        assert "| 1 × 1000 × 1000, gpu/fish | with fish | 7000 " in text
