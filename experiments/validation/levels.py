@@ -195,7 +195,7 @@ def draw(figure: Figure, runs: Runs) -> None:
             axes.plot(range(2, NUM_BEATS + 1), values, "o-", markersize=3, label=label)
         axes.axhline(0.0, color="0.7", linewidth=0.8, zorder=0)
         axes.set(xlabel="beat", ylabel=f"{name} against uniform, %")
-    every[0].legend()
+    figure.legend(*every[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
 
 CASE = Case(
