@@ -54,7 +54,10 @@ class ResumableCollector(Collector):
     @contextmanager
     def lend_env(self) -> Iterator[EnvBase]:
         """Lend the env, and restore everything afterwards."""
-        state = deepcopy(self.state_dict())
+        state = self.state_dict()
+        # the solver's are copies already, and the largest
+        flows = state["base_env"].get("_extra_state", {}).get("solver", {})
+        state = deepcopy(state, {id(copy): copy for copy in flows.values()})
         try:
             yield self.env
         finally:

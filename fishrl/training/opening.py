@@ -88,7 +88,8 @@ class Opened:
         spec = self.spec
         transition = 2 * (spec.num_inputs + spec.num_critic_inputs + spec.num_actions)
         needed: dict[str, dict[str, float]] = {plan.flows.device: {}, plan.policy_device: {}}
-        needed[plan.flows.device]["flows"] = self.task.flow_config().num_bytes * plan.flows.num_envs
+        flows = self.task.flow_config().num_bytes * plan.flows.num_envs
+        needed[plan.flows.device]["flows and their copy at evaluations"] = 2 * flows
         needed[plan.policy_device] |= {
             "networks": plan.algorithm.count_bytes(self.spec),
             "buffer": 4 * transition * plan.buffer_size * self.task.num_fish,
