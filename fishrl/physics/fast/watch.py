@@ -11,8 +11,9 @@ from fishrl.physics.placement import describe_inside, find_overlaps, lies_inside
 
 logger = logging.getLogger(__name__)
 
-#: Steps after which several bodies are looked at: a swimming fish moves by a node in them.
-_LOOK_STEPS = 20
+#: Most steps between two looks at several bodies: the fastest moves by a few nodes in them, and
+#: a look costs as much as several steps.
+_LOOK_STEPS = 40
 
 
 class Watch:
