@@ -181,11 +181,23 @@ def test_one_tensor_of_populations_is_refused(call: str) -> None:
 
 
 @pytest.mark.compile
-def test_compiled_levels_equal_eager_ones_also_when_loaded() -> None:
+@pytest.mark.parametrize(
+    "bodies", [(), pytest.param((FISH,), marks=pytest.mark.slow)], ids=["no body", "fish"]
+)
+def test_compiled_levels_equal_eager_ones_also_when_loaded(bodies: tuple[Fish, ...]) -> None:
+    """Water that begins to move in a tank sends waves through a patch near its corner."""
+    still = Patch(bodies=(), size=(40, 32), centre=(32.0, 28.0))
+    given = {} if bodies else {"patches": (still,), "stream_speed": 0.05}
+    config = make_config(bodies=bodies, **given)
     compiled, loaded, eager = (
-        start(make_config(), compile=compile) for compile in (True, True, False)
+        InPlaceSolver(config=config, compile=compile)
+        if not bodies
+        else start(config, compile=compile)
+        for compile in (True, True, False)
     )
     for solver in (compiled, loaded, eager):
+        if not bodies:
+            solver.reset_(torch.tensor([True]), velocity=(1.0, 0.5))
         solver.advance_(40)
     expected, same = eager.state_dict(), loaded.state_dict()
     for name, value in compiled.state_dict().items():
