@@ -107,10 +107,14 @@ def find_overlaps(outlines: Sequence[Tensor]) -> Tensor:
     """
     found = torch.zeros_like(outlines[0][:, 0, 0], dtype=torch.bool)
     for one, other in combinations(outlines, 2):
-        is_apart = (one.amin(1) > other.amax(1)) | (other.amin(1) > one.amax(1))
-        if found.is_cuda or not is_apart.any(-1).all():
+        if found.is_cuda or not _have_boxes_apart(one, other):
             found = found | _contains(one, other).any(-1) | _contains(other, one).any(-1)
     return found
+
+
+def _have_boxes_apart(one: Tensor, other: Tensor) -> bool:
+    is_apart = (one.amin(1) > other.amax(1)) | (other.amin(1) > one.amax(1))
+    return bool(is_apart.any(-1).all())
 
 
 def find_water(outlines: Sequence[Tensor], config: FlowConfig, water: Tensor) -> Tensor:

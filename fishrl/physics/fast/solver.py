@@ -139,10 +139,10 @@ class InPlaceSolver:
                 f"the {len(self.bodies)} bodies overlap at the centre of the domain: "
                 "call reset_(position=...) first"
             )
-        for num in self._watch.split(num_steps, unit):
-            self._execution.advance_(num, groups)
-            if self._watch.looks:
+        for index, num in enumerate(self._watch.split(num_steps, unit)):
+            if index:
                 self._watch.look_(self._outlines())
+            self._execution.advance_(num, groups)
         if rows is None and self.device.type == "cpu":
             self._watch.report(self._outlines(), self._batch.is_lost())
 
@@ -350,13 +350,15 @@ class InPlaceSolver:
     @property
     def overlaps(self) -> Tensor:
         """``[B]`` bool: whether bodies have grown into each other since reset; a copy."""
+        self._watch.look_(self._outlines())
         return self._watch.overlaps.clone()
 
     def is_diverged(self) -> Tensor:
         """Return ``[B]`` bool: density or speed out of range, a body off the grid, or overlap."""
-        fine = self._batch.is_fine()
-        for outline in self._outlines():
+        fine, outlines = self._batch.is_fine(), self._outlines()
+        for outline in outlines:
             fine = fine & lies_inside(outline, self.config)
+        self._watch.look_(outlines)
         return ~fine | self._watch.overlaps
 
     def state_dict(self) -> dict[str, Tensor]:
@@ -371,8 +373,6 @@ class InPlaceSolver:
         self._batch.load_state_(state)
         self._unplaced = None
         self._watch.forget_(self._choose(None))
-        if self._watch.looks:
-            self._watch.look_(self._outlines())
 
     def list_calls(self) -> list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]:
         """Return the parts of a step in order, for measuring them in this process.

@@ -20,8 +20,7 @@ class Watch:
     """Notices what is lost in a batch of flows.
 
     Attributes:
-        overlaps: ``[B]`` bool, whether bodies have grown into each other since ``forget_``.
-        looks: whether they can, so that ``look_`` must be called.
+        overlaps: ``[B]`` bool, whether bodies that ``look_`` saw since ``forget_`` overlapped.
         is_idle: whether a fish has got no frequency.
     """
 
@@ -29,11 +28,13 @@ class Watch:
         self._config = config
         self._was_lost = torch.zeros(num_envs, dtype=torch.bool)
         self.overlaps = self._was_lost.to(device, copy=True)
-        self.looks = len(config.bodies) > 1 and not config.is_still
+        self._can_overlap = len(config.bodies) > 1 and not config.is_still
+        # a look launches hundreds of operators: on a GPU only where somebody asks
+        self._looks_between = self._can_overlap and device.type == "cpu"
         self.is_idle = False
 
     def split(self, num_steps: int, unit: int) -> list[int]:
-        """Return numbers of steps, multiples of ``unit``, with a look after each.
+        """Return numbers of steps, multiples of ``unit``, with a look between them.
 
         Logs, once, that a fish is idle.
         """
@@ -43,12 +44,13 @@ class Watch:
                 "the fish does not beat: give InPlaceSolver(frequency=1 / T), T steps per beat, or "
                 "0.0 for one that glides"
             )
-        stride = unit * -(-_LOOK_STEPS // unit) if self.looks else max(1, num_steps)
+        stride = unit * -(-_LOOK_STEPS // unit) if self._looks_between else max(1, num_steps)
         return [min(stride, num_steps - done) for done in range(0, max(1, num_steps), stride)]
 
     def look_(self, outlines: Sequence[Tensor]) -> None:
         """Remember which of the bodies with these outlines ``[B, N, 2]`` overlap."""
-        self.overlaps |= find_overlaps(outlines)
+        if self._can_overlap:
+            self.overlaps |= find_overlaps(outlines)
 
     def forget_(self, rows: Tensor) -> None:
         """Begin again with flows ``[B]``."""
@@ -58,6 +60,7 @@ class Watch:
 
     def report(self, outlines: Sequence[Tensor], is_lost: Tensor) -> None:
         """Log flows that are lost since the last time; ``is_lost`` ``[B]`` are not finite."""
+        self.look_(outlines)
         has_left = torch.zeros_like(is_lost)
         for outline in outlines:
             is_known = outline.isfinite().flatten(1).all(-1)  # not a free body's in a lost flow
