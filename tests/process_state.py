@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import gymnasium  # noqa: F401 - imported later, these would add filters of warnings and variables
 import matplotlib as mpl
 import numpy as np
-import scipy.sparse  # imported later, they would add filters of warnings
+import scipy.sparse
 import scipy.special  # noqa: F401
 import torch
 

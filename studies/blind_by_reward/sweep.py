@@ -39,7 +39,7 @@ ARMS: dict[str, tuple[dict[str, Any], bool]] = {
     ),
 }
 FRAMES, EVERY = 60_000, 1000
-RUNS, SCORES = Path("runs/blind_by_reward"), Path("runs/blind_by_reward/scores")
+RUNS, SCORES = Path("runs/blind_by_reward"), Path(__file__).parent / "data"
 #: Horizons in decisions of the averages that act; 0 is the last actor.
 RULES = {"last": 0, "average-5000": 5_000, "average-20000": 20_000}
 #: Starts by their seed and number, and decisions: 161 are 20 T.
