@@ -107,6 +107,17 @@ def list_imports(*folders: str) -> set[str]:
     return {name for path in _sources(*folders) for name in _names(path)}
 
 
+def list_attributes(*folders: str) -> set[str]:
+    """Return the whole dotted names, such as ``torch.fx.Node``, that some folders use."""
+    every = [node for path in _sources(*folders) for node in ast.walk(_parse(path))]
+    inner = {id(node.value) for node in every if isinstance(node, ast.Attribute)}
+    return {
+        ast.unparse(node)
+        for node in every
+        if isinstance(node, ast.Attribute) and id(node) not in inner
+    }
+
+
 def _is_within(name: str, packages: set[str]) -> bool:
     return any(name == package or name.startswith(package + ".") for package in packages)
 

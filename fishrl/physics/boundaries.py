@@ -222,32 +222,26 @@ class NoSlip(Settings, Boundary):
         return edge
 
 
-class Periodic(Settings, Boundary):
+class _SetElsewhere(Boundary):
+    """An edge whose populations come from elsewhere in the flow."""
+
+    is_local = True
+    velocity: ClassVar[None] = None  # type: ignore[misc]
+    profile: ClassVar[Profile] = Profile.UNIFORM  # type: ignore[misc]
+
+    def compute_edge(
+        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor], speed: Tensor
+    ) -> dict[int, Tensor]:
+        """Return nothing to set."""
+        return {}
+
+
+class Periodic(Settings, _SetElsewhere):
     """The flow leaves on one side and enters on the other; see ``list_crossings``."""
 
-    is_local = True
-    velocity: ClassVar[None] = None  # type: ignore[misc]
-    profile: ClassVar[Profile] = Profile.UNIFORM  # type: ignore[misc]
 
-    def compute_edge(
-        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor], speed: Tensor
-    ) -> dict[int, Tensor]:
-        """Return nothing to set."""
-        return {}
-
-
-class Filled(Settings, Boundary):
+class Filled(Settings, _SetElsewhere):
     """The edge of a patch of a finer level, which its parent fills; see ``levels.transfer``."""
-
-    is_local = True
-    velocity: ClassVar[None] = None  # type: ignore[misc]
-    profile: ClassVar[Profile] = Profile.UNIFORM  # type: ignore[misc]
-
-    def compute_edge(
-        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor], speed: Tensor
-    ) -> dict[int, Tensor]:
-        """Return nothing to set."""
-        return {}
 
 
 class Boundaries(Settings):
@@ -277,7 +271,7 @@ class Boundaries(Settings):
         """Return the edges in the order in which they are set; each list is independent."""
         across = [(Side.LEFT, self.left), (Side.RIGHT, self.right)]
         along = [(Side.BOTTOM, self.bottom), (Side.TOP, self.top)]
-        given = [edge for edge in across + along if not isinstance(edge[1], Periodic | Filled)]
+        given = [edge for edge in across + along if not isinstance(edge[1], _SetElsewhere)]
         groups = [
             [edge for edge in given if edge[1].is_local],
             [edge for edge in across if not edge[1].is_local],

@@ -1,7 +1,7 @@
 """Record transitions of a policy as a Minari dataset: ``fishrl export-data ...``.
 
-``policy=runs/<name> name=fishrl/predation-expert-v0`` writes ``<folder>/<name>``, which
-``minari.load_dataset`` reads, but TorchRL's ``MinariExperienceReplay`` as zeros. Observations hold
+``policy=runs/<name> name=fishrl/predation-expert-v0`` writes ``<folder>/<name>``. Read it with
+``minari.load_dataset``: TorchRL's ``MinariExperienceReplay`` returns zeros. Observations hold
 ``observation`` (the stack that policies see) and ``action_mask``; infos hold all that the task
 reports, such as the signals of the lateral line. Needs the extra ``export``.
 """

@@ -157,8 +157,8 @@ class ClusterCollector:
 def noticing_losses() -> Iterator[None]:
     """Raise ChildProcessError where a collector, machine or object is found to be lost.
 
-    Any error of Ray's own counts, as there is one for each thing that can be lost: a training that
-    continues from a checkpoint in vain ends with it. What a collector itself raises is passed on.
+    Any error of Ray's own counts, as there is one for each thing that can be lost. A training
+    continues from its checkpoint, and ends if it fails again. What a collector raises is passed on.
     """
     from ray.exceptions import RayError, RayTaskError
 

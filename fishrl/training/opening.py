@@ -111,7 +111,7 @@ class Opened:
         return replace(self, plan=plan, folder=folder, stored=plan.to_config())
 
     def check_current(self, folder: RunFolder) -> None:
-        """Raise HeldError if another process has gone on with the run since it was read."""
+        """Raise HeldError if another process has continued the run since it was read."""
         frames = Checkpoint.read(folder.last).frames if folder.has_begun() else None
         known = None if self.checkpoint is None else self.checkpoint.frames
         if frames != known or folder.config.is_file() != bool(self.stored):

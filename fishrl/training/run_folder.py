@@ -31,7 +31,7 @@ class Stored(BaseModel):
 
 
 #: What to do about a run that changed between two looks at it.
-CHANGED = "another process has gone on with it meanwhile; repeat the command"
+CHANGED = "another process has continued it meanwhile; repeat the command"
 
 
 class HeldError(ValueError):

@@ -87,14 +87,8 @@ class Folding:
     def __init__(self, policy: TensorDictModuleBase, scale: InputScale) -> None:
         layers = (each for each in policy.modules() if isinstance(each, nn.Linear | nn.LSTM))
         first = next(layers, None)
-        weight, bias = (
-            ("weight_ih_l0", "bias_ih_l0")
-            if isinstance(first, nn.LSTM)
-            else (
-                "weight",
-                "bias",
-            )
-        )
+        end = "_ih_l0" if isinstance(first, nn.LSTM) else ""
+        weight, bias = f"weight{end}", f"bias{end}"
         entries = [key for key in scale.stacks if key in policy.in_keys]
         if first is None or getattr(first, bias) is None or len(entries) != 1:
             raise ValueError(

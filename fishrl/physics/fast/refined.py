@@ -337,9 +337,8 @@ class RefinedBatch:
 
 def _copy(pairs: Pairs) -> None:
     """Copy the second tensor of each pair to the first."""
-    if pairs:
-        to, new = zip(*pairs, strict=True)
-        torch._foreach_copy_(to, new)
+    for to, new in pairs:
+        to.copy_(new)
 
 
 def make_batch(
