@@ -99,7 +99,8 @@ class FlowAxes:
             look: dict[str, Any] = {"fill": False, "edgecolor": _scale(area.colour), "lw": 0.7}
             axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, ls=":", **look))
             name, colour = area.key.replace("_", " "), look["edgecolor"]
-            axes.text(x0, y1, name, va="bottom", fontsize=6, color=colour, clip_on=True)
+            text = {"ha": "right", "va": "bottom", "fontsize": 6, "color": colour}
+            axes.text(x1, y0, name, clip_on=True, **text)
         self._updates: list[Callable[[Frame], None]] = [
             *(self._add_body(curve) for curve in scene.curves if curve.is_closed),
             *(self._add_goal(marks) for marks in scene.marks if marks.reach > 0.0),
