@@ -21,8 +21,8 @@ from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import BenchmarkSettings, Results, measure
 from experiments.benchmarks.plots import write_plots
 from experiments.benchmarks.report import render_results, write_page
-from fishrl.programs.configuration import unknown
 from fishrl.programs.program import program
+from fishrl.settings import unknown
 
 logger = logging.getLogger(__name__)
 #: What makes the cases of each group.

@@ -17,10 +17,9 @@ from experiments.validation.case import MISSED, Case
 from experiments.validation.report import list_rows, render_checks, summarise, write_report
 from experiments.validation.runner import run_cases
 from fishrl.limits import count_cores
-from fishrl.programs.configuration import unknown
 from fishrl.programs.export_policy import read_revision
 from fishrl.programs.program import program
-from fishrl.settings import Settings
+from fishrl.settings import Settings, unknown
 
 # in the order of the report
 NAMES = (

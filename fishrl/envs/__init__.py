@@ -8,7 +8,7 @@ from fishrl.envs.extensions import (
 )
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.flows import Flows
-from fishrl.envs.making import make_env
+from fishrl.envs.making import make_env, make_task
 from fishrl.envs.one_hot import OneHotAction
 from fishrl.envs.recognition import Oracle, Recognition
 from fishrl.envs.sense import Sense
@@ -35,5 +35,6 @@ __all__ = [
     "Sense",
     "TrueFlowLabel",
     "make_env",
+    "make_task",
     "run_episodes",
 ]

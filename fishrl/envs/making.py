@@ -19,6 +19,8 @@ from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.flows import Flows
 from fishrl.envs.recognition import Recognition
 from fishrl.envs.task import AbstractTask
+from fishrl.presets import merge, read_task
+from fishrl.settings import build
 from fishrl.torch_state import in_own_state
 
 
@@ -34,10 +36,25 @@ class StableEnv(TransformedEnv):
         return super()._step(tensordict)
 
 
+def make_task(name: str, **changes: Any) -> AbstractTask:
+    """Return the task of a name, as ``task=<name>`` or ``preset=<name>`` on the command line.
+
+    Args:
+        name: such as ``karman_gait`` or, for the task of a preset, ``gait_bend``; see
+            ``fishrl.presets.list_tasks``.
+        **changes: settings of the task, objects or plain data: ``body_length=48``,
+            ``stream={"speeds_bl": [0.45]}``.
+
+    Raises:
+        ValueError: for an unknown name, with the nearest one, and for invalid settings.
+    """
+    return build(AbstractTask, merge(read_task(name), changes, replaces=True))
+
+
 @in_own_state
 def make_env(
     *,
-    task: AbstractTask,
+    task: AbstractTask | str,
     flows: Flows,
     seed: int = 0,
     starts: TensorDictBase | None = None,
@@ -54,12 +71,15 @@ def make_env(
     decisions. Random discrete actions respect the action mask; continuous actions have none. With
     several fish per flow, stacks, masks and ``episode_reward`` are per fish, under ``agents``.
 
-    ``recognition`` is the source of flow labels, such as ``Oracle()``. Further ``transforms`` are
-    inserted before the frame stack and may lengthen ``observation``.
+    ``task`` may be a name, see ``make_task``. ``recognition`` is the source of flow labels, such as
+    ``Oracle()``. Further ``transforms`` are inserted before the frame stack and may lengthen
+    ``observation``.
 
     Raises:
         ValueError: for invalid arguments.
     """
+    if isinstance(task, str):
+        task = make_task(task)
     if not isinstance(task, AbstractTask):
         raise ValueError(f"task = {task!r}: must be an instance of a task, such as Predation()")
     if recognition is not None:

@@ -30,11 +30,26 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from fishrl.settings import REQUIRED, TARGET, build, list_fields, suggest, to_plain
+from fishrl.presets import GROUPS, list_names, read_file
+from fishrl.settings import REQUIRED, TARGET, build, list_fields, to_plain, unknown
 
 CONF = Path(__file__).parent / "conf"
 
 Node = dict[str, Any]
+
+
+def _store_presets() -> None:
+    """Give hydra what ``fishrl.presets`` reads."""
+    for group in GROUPS:
+        for name in list_names(group):
+            task, node = read_file(group, name)
+            if task is not None:
+                node = {"defaults": [{"override /task": task}, "_self_"], **node}
+            package = "_global_" if group == "preset" else None
+            ConfigStore.instance().store(name, node, group=group, package=package)
+
+
+_store_presets()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +175,7 @@ class CommandLine:
             return f"{self.positional}={quote(word)}"
         if not (key and equals) and not word.startswith("~"):
             raise ValueError(f"{word!r}: settings are given as key=value, without spaces")
-        if key not in self.groups and (CONF / key).is_dir():
+        if key not in self.groups and (key in GROUPS or (CONF / key).is_dir()):
             raise unknown(key, sorted(bare))
         if key in self.groups and value.startswith(("[", "{")):
             raise ValueError(f"{word}: must be one name")
@@ -252,12 +267,6 @@ def explain(error: Exception) -> ValueError:
         key = error.__cause__.full_key
         return ValueError(f"there is no {key!r} here; --config-dir <folder> adds YAML files")
     return ValueError(" ".join(str(error).split()).replace("'++", "'"))
-
-
-def unknown(word: str, known: Sequence[str]) -> ValueError:
-    """Return the error for an unknown word, with the nearest known one or the whole list."""
-    near = suggest(word, known) or f". There is: {', '.join(known)}"
-    return ValueError(f"there is no {word!r}{near}")
 
 
 def list_modules(node: Any) -> Iterator[str]:

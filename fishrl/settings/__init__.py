@@ -20,7 +20,7 @@ from fishrl.settings.base import (
     find_role,
     list_fields,
 )
-from fishrl.settings.messages import suggest
+from fishrl.settings.messages import suggest, unknown
 from fishrl.settings.plain import (
     TARGET,
     build,
@@ -47,4 +47,5 @@ __all__ = [
     "list_fields",
     "suggest",
     "to_plain",
+    "unknown",
 ]

@@ -1,6 +1,6 @@
 """Error messages of settings: one line per field, with the nearest right word."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import SequenceMatcher
 from enum import Enum
 from inspect import isabstract
@@ -78,3 +78,9 @@ def suggest(word: str, known: Iterable[str]) -> str:
 
     best = max(known, key=rate, default="")
     return f"; did you mean {best!r}?" if rate(best)[0] else ""
+
+
+def unknown(word: str, known: Sequence[str]) -> ValueError:
+    """Return the error for an unknown word, with the nearest known one or the whole list."""
+    near = suggest(word, known) or f". There is: {', '.join(known)}"
+    return ValueError(f"there is no {word!r}{near}")

@@ -6,15 +6,26 @@ Needs the extra ``gymnasium``. Importing this module registers the ids::
     import fishrl.wrappers.gymnasium
 
     envs = gymnasium.make_vec("fishrl/Predation-v0", num_envs=8, body_length=50)
-    env = gymnasium.make("fishrl/KarmanGait-v0", recognition="oracle", render_mode="rgb_array")
+    env = gymnasium.make("fishrl/gait_bend", render_mode="rgb_array")
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from inspect import signature
 from secrets import randbits
 from typing import Any
 
-from fishrl.envs import AbstractTask, Flows, Follower, KarmanGait, Predation, make_env
+from fishrl.envs import (
+    AbstractTask,
+    Flows,
+    Follower,
+    KarmanGait,
+    Predation,
+    make_env,
+    make_task,
+)
+from fishrl.presets import list_tasks
 from fishrl.wrappers.vector import FlowVectorEnv  # first: it names the extra if it is missing
 
 from gymnasium import register  # isort: skip
@@ -23,17 +34,18 @@ from fishrl.wrappers.single import FlowSingleEnv
 
 __all__ = ["TASKS", "FlowSingleEnv", "FlowVectorEnv", "make_single", "make_vector"]
 
-#: Tasks with one fish by id; add your own by ``gymnasium.register`` as below.
-TASKS: dict[str, type[AbstractTask]] = {
-    f"fishrl/{task.__name__}-v0": task for task in (Predation, KarmanGait, Follower)
+#: Classes of tasks and all presets by id; add your own by ``gymnasium.register`` as below.
+TASKS: dict[str, Callable[..., AbstractTask]] = {
+    **{f"fishrl/{task.__name__}-v0": task for task in (Predation, KarmanGait, Follower)},
+    **{f"fishrl/{name}": partial(make_task, name) for name in list_tasks()},
 }
 
 
-def make_vector(task: type[AbstractTask], num_envs: int, **settings: Any) -> FlowVectorEnv:
+def make_vector(task: Callable[..., AbstractTask], num_envs: int, **settings: Any) -> FlowVectorEnv:
     """Return a vector environment of flows.
 
     Args:
-        task: class of the task.
+        task: class of the task, or a function that makes it.
         num_envs: number of flows, regardless of ``flows.num_envs``.
         settings: arguments of ``make_env`` and ``FlowVectorEnv``; all others go to the task.
             Without ``seed`` each environment draws its own, as Gymnasium's do; ``reset(seed=...)``
@@ -52,7 +64,7 @@ def make_vector(task: type[AbstractTask], num_envs: int, **settings: Any) -> Flo
     return FlowVectorEnv(env, **wrapping)
 
 
-def make_single(task: type[AbstractTask], **settings: Any) -> FlowSingleEnv:
+def make_single(task: Callable[..., AbstractTask], **settings: Any) -> FlowSingleEnv:
     """Return an environment of one flow; arguments are those of ``make_vector``."""
     if "num_envs" in settings:
         raise ValueError("num_envs: gymnasium.make makes one flow; use gymnasium.make_vec")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from fishrl.envs import make_task
 from fishrl.programs import train
 from fishrl.programs.configuration import CONF
 from fishrl.programs.train_settings import TRAINING
@@ -52,6 +53,7 @@ MORE = {
 def test_every_preset_and_task_has_a_valid_flow(group: str, name: str) -> None:
     settings = TRAINING.read([f"{group}={name}", *MORE.get(name, [])])
     assert settings.preset == (name if group == "preset" else None)
+    assert make_task(name) == settings.task
     settings.task.flow_config()  # refuses what cannot be simulated
 
 

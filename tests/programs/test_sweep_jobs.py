@@ -18,8 +18,8 @@ import pytest
 
 from fishrl.children import start_child
 from fishrl.locks import take_lock
+from fishrl.presets import list_names
 from fishrl.programs import train
-from fishrl.programs.configuration import CONF
 from fishrl.programs.sweeps import jobs
 from fishrl.programs.sweeps.groups import group_runs
 from fishrl.programs.sweeps.jobs import Job, find_runs, plan_jobs
@@ -67,7 +67,7 @@ def test_sweep_plans_jobs() -> None:
     planned = [job.settings for job in plan_jobs(line)]
     expected = [(f"seed_{s}-time_limit_{t}", s, 2, "runs/my sweep") for s in (0, 1) for t in (3, 4)]
     assert [(job.name, job.seed, job.flows.num_envs, job.folder) for job in planned] == expected
-    files = list((CONF / "preset").glob("gait*"))
+    files = [name for name in list_names("preset") if name.startswith("gait")]
     assert len(plan_jobs(["preset=glob(gait*)"])) == len(files)
 
 

@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 from pettingzoo.test import parallel_api_test
 
-from fishrl.envs import Flows, Predation, PredationPair, make_env
+from fishrl.envs import Flows, Predation, PredationPair, make_env, make_task
 from fishrl.envs.control import Turn
 from fishrl.wrappers.gymnasium import TASKS, FlowVectorEnv
 from fishrl.wrappers.pettingzoo import FlowParallelEnv
@@ -40,6 +40,15 @@ def test_ids_make_vector_and_single_environments() -> None:
         gymnasium.make("fishrl/Predation-v0", body_lenght=50)
     with pytest.raises(ValueError, match=r"use gymnasium\.make_vec"):
         gymnasium.make("fishrl/Predation-v0", num_envs=4, **SETTINGS)
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_presets_have_ids() -> None:
+    env = gymnasium.make("fishrl/quick", **SETTINGS)
+    assert env.unwrapped.vector.flows.task == make_task("quick", **SMALL, time_limit=3)
+    env.close()
+    with pytest.raises(gymnasium.error.NameNotFound, match="Did you mean: `gait_bend`"):
+        gymnasium.make("fishrl/gait_bent")
 
 
 @pytest.mark.usefixtures("kinematic")

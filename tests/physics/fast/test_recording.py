@@ -9,7 +9,7 @@ from torch import Tensor
 from fishrl.physics import InPlaceSolver
 from fishrl.physics.fast.part import Part, Repeater
 from fishrl.physics.fast.recording import record
-from fishrl.programs.configuration import CONF
+from fishrl.presets import GROUPS, list_names
 from fishrl.programs.evaluate import main as evaluate
 from tests.physics.fast.test_solver import CHANGES, make_solver
 from tests.physics.flows import make_tank
@@ -49,9 +49,7 @@ def test_recorded_steps_equal_launched_ones_bit_for_bit(name: str, unrecorded: l
 @pytest.mark.slow
 @pytest.mark.compile
 def test_every_part_of_every_preset_and_task_is_recorded() -> None:
-    words = [
-        f"{group}={file.stem}" for group in ("preset", "task") for file in (CONF / group).iterdir()
-    ]
+    words = [f"{group}={name}" for group in GROUPS for name in list_names(group)]
     configs = {evaluate.read(["policy=random", word]).task.flow_config(): word for word in words}
     known: set[str | None] = set()  # the number of markers does not change what code calls
     for config, word in configs.items():

@@ -1,0 +1,5 @@
+"""Tasks and bundles of settings by name: YAML files, and what reads them."""
+
+from fishrl.presets.reading import GROUPS, list_names, list_tasks, merge, read_file, read_task
+
+__all__ = ["GROUPS", "list_names", "list_tasks", "merge", "read_file", "read_task"]
