@@ -123,11 +123,24 @@ class FlowBatch:
             if self._size > 1 or rows[own].item():
                 group.fill_(rows[own], [value[own] for value in f])
 
-    def write_(self, rows: Tensor, f: Tensor) -> None:
-        """Set the populations ``[N, Q, Y, X]`` of the flows ``rows`` ``[N]``, indices."""
+    @property
+    def grids(self) -> "list[FlowBatch]":
+        """The grids, coarsest first: this one alone, with one level."""
+        return [self]
+
+    def find_corners(self) -> Tensor:
+        """Return the place ``[B, G, 2]`` int64 of the first node of each grid, finest nodes."""
+        return self.flow.clock.new_zeros(len(self.flow.clock), 1, 2, dtype=torch.int64)
+
+    def write_(self, rows: Tensor, f: Sequence[Tensor], corners: Tensor | None = None) -> None:
+        """Set populations and places of each grid; see ``InPlaceSolver.set_populations_``.
+
+        ``rows`` ``[N]`` are indices.
+        """
         for number in sorted(set((rows // self._size).tolist())):
             is_own = rows // self._size == number
-            self.groups[number].write_(rows[is_own] % self._size, f[is_own])
+            own = f[0].to(self._populations)[is_own]
+            self.groups[number].write_(rows[is_own] % self._size, own)
 
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]``."""

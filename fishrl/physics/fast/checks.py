@@ -8,7 +8,7 @@ from torch import Tensor
 
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import FlowConfig
-from fishrl.physics.lattice import MAX_IMPOSED_SPEED
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
 
 
 def check_tensor(
@@ -45,6 +45,23 @@ def check_tensor(
     most = torch.as_tensor(largest, dtype=torch.float64).expand(value.shape)[where]
     if (chosen.abs() > most * (1.0 + 1e-9)).any():
         raise ValueError(f"{name} = {value.tolist()}: allowed is at most {most.min():.4g}{reason}")
+
+
+def check_populations(
+    f: Tensor | Sequence[Tensor], corners: Tensor | None, config: FlowConfig, num: int
+) -> tuple[Sequence[Tensor], Tensor | None]:
+    """Return populations ``[num, Q, Y, X]`` of each grid, and corners ``[num, G, 2]`` or None."""
+    every, sizes = [f] if isinstance(f, Tensor) else f, config.list_grids()
+    if len(every) != len(sizes):
+        raise ValueError(
+            f"f has populations of {len(every)} grids, the flow has {len(sizes)}: give those of "
+            "each, populations(grid=0), populations(grid=1) and so on"
+        )
+    for own, (width, height, _) in zip(every, sizes, strict=True):
+        check_tensor("f", own, (num, Q, height, width))
+    if corners is not None:
+        check_tensor("corners", corners, (num, len(sizes), 2), dtype=torch.int64)
+    return every, corners
 
 
 def read_frequency(frequency: float | Tensor | None, configs: Sequence[FlowConfig]) -> Tensor:

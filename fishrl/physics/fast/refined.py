@@ -11,7 +11,13 @@ from torch.utils import _pytree as pytree
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Periodic
 from fishrl.physics.fast.batch import FlowBatch, make_fresh, name_numbers, restore_
-from fishrl.physics.fast.grid import Grid, find_moving, read_fields, refine_field
+from fishrl.physics.fast.grid import (
+    Grid,
+    find_moving,
+    find_origins,
+    read_fields,
+    refine_field,
+)
 from fishrl.physics.fast.part import Bound, Part, Repeater, Step, compile_parts, copy_tree
 from fishrl.physics.fast.transfer_parts import (
     Chain,
@@ -278,6 +284,23 @@ class RefinedBatch:
         for grid in self._grids:
             grid.batch.fill_(rows, f)
         self._place_(rows)
+
+    @property
+    def grids(self) -> list[FlowBatch]:
+        """The grids, in the order of ``FlowConfig.list_grids``."""
+        return [grid.batch for grid in self._grids]
+
+    def find_corners(self) -> Tensor:
+        """Return ``FlowBatch.find_corners``."""
+        return torch.stack([grid.find_corner() for grid in self._grids], 1)
+
+    def write_(self, rows: Tensor, f: Sequence[Tensor], corners: Tensor | None = None) -> None:
+        """Set populations and places of each grid, as ``FlowBatch.write_``."""
+        corners = self.find_corners()[rows] if corners is None else corners
+        origins = find_origins(self._grids, corners)
+        for grid, own, origin in zip(self._grids, f, origins, strict=True):
+            grid.batch.write_(rows, [own])
+            grid.origin[rows] = origin
 
     def is_fine(self) -> Tensor:
         """Return ``[B]``: density and speed are within the method, and bodies in their patches."""

@@ -11,10 +11,15 @@ from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium
 from fishrl.physics.fast.batch import set_rows_
-from fishrl.physics.fast.checks import check_commands, check_device, check_tensor, read_frequency
+from fishrl.physics.fast.checks import (
+    check_commands,
+    check_device,
+    check_populations,
+    check_tensor,
+    read_frequency,
+)
 from fishrl.physics.fast.execution import Execution
 from fishrl.physics.fast.part import Part
-from fishrl.physics.fast.refined import RefinedBatch
 from fishrl.physics.fast.watch import Watch
 from fishrl.physics.flow import (
     FlowConfig,
@@ -23,7 +28,7 @@ from fishrl.physics.flow import (
     list_configs,
 )
 from fishrl.physics.geometry import Markers, deform_body, locate_markers, place_markers
-from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 from fishrl.physics.placement import check_placement, find_water, lies_inside, spread_starts
 from fishrl.torch_state import with_own_state
 
@@ -114,8 +119,7 @@ class InPlaceSolver:
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
         """Advance the flows of ``rows`` ``[B]`` bool (None is all) by an even number of steps.
 
-        With levels it is even on the coarsest one, a multiple of 2^levels.
-
+        With levels it is a multiple of 2^levels: even on the coarsest one.
         Flows that share a group with one of them advance too; all others keep their state. On a CPU
         each flow is its own group by default. On a GPU all flows are one group, which always
         advances, since the host would have to wait to see whether any row must.
@@ -255,13 +259,20 @@ class InPlaceSolver:
         """
         set_rows_(self._get_body(index)[1], params, self._choose(rows), name="params")
 
-    def set_populations_(self, f: Tensor, rows: Tensor | None = None) -> None:
-        """Set all flows, or the N of ``rows`` ``[B]``, to shifted populations ``[N, Q, Y, X]``."""
+    def set_populations_(
+        self,
+        f: Tensor | Sequence[Tensor],
+        rows: Tensor | None = None,
+        *,
+        corners: Tensor | None = None,
+    ) -> None:
+        """Set all flows, or the N of ``rows`` ``[B]``, to shifted populations ``[N, Q, Y, X]``.
+
+        With levels give those of each grid, coarsest first; patches move to their ``corners``
+        ``[N, G, 2]``, or stay where they are.
+        """
         chosen = self._choose(rows).nonzero()[:, 0]
-        if isinstance(self._batch, RefinedBatch):
-            raise ValueError("populations with levels are of several grids: use load_state_dict")
-        check_tensor("f", f, (len(chosen), Q, self.config.height, self.config.width))
-        self._batch.write_(chosen, f.to(self.device))
+        self._batch.write_(chosen, *check_populations(f, corners, self.config, len(chosen)))
 
     def command_(
         self,
@@ -306,11 +317,20 @@ class InPlaceSolver:
             for name, value in order.items():
                 getattr(body, name).copy_(value)
 
-    def populations(self) -> Tensor:
-        """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""
-        if isinstance(self._batch, RefinedBatch):
-            raise ValueError("populations with levels are of several grids: use state_dict")
-        return self._batch.populations()
+    def populations(self, grid: int = 0) -> Tensor:
+        """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted) of a grid.
+
+        Grids are numbered as in ``config.list_grids()``, coarsest first.
+        """
+        num = len(self._batch.grids)
+        if not 0 <= grid < num:
+            raise ValueError(f"there is no grid {grid}: the flow has {num}, counted from 0")
+        return self._batch.grids[grid].populations()
+
+    @property
+    def corners(self) -> Tensor:
+        """``[B, G, 2]`` int64: first node (x, y) of each grid, in finest nodes; a copy."""
+        return self._batch.find_corners()
 
     def macroscopic(self) -> tuple[Tensor, Tensor]:
         """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
@@ -366,10 +386,7 @@ class InPlaceSolver:
         return {name: torch.cat(own) for name, own in self._batch.name_state().items()}
 
     def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
-        """Restore ``state_dict()`` exactly, also if saved on another device.
-
-        ValueError for a state of another grid, batch or version.
-        """
+        """Restore ``state_dict()`` exactly; ValueError for another grid, batch or version."""
         self._batch.load_state_(state)
         self._unplaced = None
         self._watch.forget_(self._choose(None))
