@@ -2,9 +2,10 @@
 
 ``name=<folder>`` starts a run in that folder, or continues the one there;
 ``resume=<run folder>`` continues a run with its own settings. A finished run is left unchanged
-unless ``total_frames`` extends it, or another final evaluation is asked for.
+unless ``total_frames`` extends it, or another final evaluation or other pictures are asked for.
 """
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -32,7 +33,7 @@ from fishrl.training.runs import complete
 
 
 class RunCallback(LiveView):
-    """The live view of a run, and its pictures at the end."""
+    """The live view of a run, and at the end its results and pictures."""
 
     def __init__(self, config: TrainConfig, progress: Callback) -> None:
         super().__init__(config, num_flows=config.flows.num_envs)
@@ -41,7 +42,8 @@ class RunCallback(LiveView):
     def on_end(
         self, summary: Mapping[str, Any], *, folder: Path, env: EnvBase, policy: Policy
     ) -> None:
-        """Record the policy from some starts of the final evaluation and draw the pictures."""
+        """Print the results, record the policy from some of their starts and draw the pictures."""
+        show_results(summary)
         if self.config.picture_episodes == 0:
             return
         starts = fixed_starts(env.base_env.task, self.config.final_episodes, seed=FINAL_SEED)
@@ -58,11 +60,8 @@ class RunCallback(LiveView):
         )
 
 
-def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> None:
-    """Print results of all policies, the files written, and commands to continue with.
-
-    ``modules`` are the arguments that those commands need for classes outside fishrl.
-    """
+def show_results(summary: Mapping[str, Any]) -> None:
+    """Print the results of all policies."""
     word, num = summary["success"], summary["episodes"]
     heads = f"{word:>20}{'mean return':>14}{'mean duration':>16}{f'until {word}':>18}"
     print(f"\n{'policy':<12}{heads}")
@@ -70,19 +69,27 @@ def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> 
         keys = ("success_rate", "mean_return", "mean_length_T", "mean_time_to_success_T")
         prefix = "" if name == "learned" else f"{name}_"
         rate, value, length, duration = (summary[prefix + key] for key in keys)
-        shown = "-" if duration != duration else f"{duration:.1f} T"
+        shown = "-" if duration is None or math.isnan(duration) else f"{duration:.1f} T"
         share = find_share(round(rate * num), num).show(".0%")
         print(f"{name:<12}{share:>20}{value:>14.1f}{length:>14.1f} T{shown:>18}")
     minutes = f"{summary['wall_seconds'] / 60:.1f} minutes"
-    print(f"({num} fixed starts; in brackets 95 % intervals of so few; {minutes})\n")
+    print(f"({num} fixed starts; in brackets 95 % intervals of so few; {minutes})\n", flush=True)
+
+
+def show_files(folder: Path, *, frames: int, modules: Sequence[str]) -> None:
+    """Print the files of a run of so many frames, and commands to continue with.
+
+    ``modules`` are those outside fishrl that the user has named.
+    """
     for path in sorted(folder.iterdir()):
         if not path.name.startswith("."):
             print(f"  {path}")
     has_recording = (folder / "episode.rrd").is_file()
-    policy = [f"policy={quote(f'{folder.parent}/{folder.name}')}", *modules]
+    policy = [f"policy={quote(f'{folder.parent}/{folder.name}')}", *show_modules(modules)]
     viewed = [str(folder)] if has_recording else policy
     print(f"\nevaluate: {show_command('evaluate', *policy)}")
     print(f"view: {show_command('view', *viewed)}")
+    print(f"train longer: {show_resume(folder, modules)} total_frames={2 * frames}")
 
 
 @program(command_line=TRAINING, sweep=sweep)
@@ -109,4 +116,4 @@ def main(settings: TrainConfig) -> None:
         except (OSError, ValueError) as error:
             error.add_note(hint)
             raise
-    report(summary, folder=folder, modules=show_modules(settings.modules))
+    show_files(folder, frames=summary["frames"], modules=settings.modules)

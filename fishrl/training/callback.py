@@ -38,7 +38,7 @@ class Callback:
     def on_end(
         self, summary: Mapping[str, Any], *, folder: Path, env: EnvBase, policy: Policy
     ) -> None:
-        """Receive the result of a training before ``summary.json`` is written.
+        """Receive the result of a training; a run that is cut off here repeats this alone.
 
         Args:
             summary: content of ``summary.json``.

@@ -7,6 +7,7 @@ import random
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,10 @@ class Training:
         self.counters, self.interruption = Counters(), interruption or Interruption()
         self.callbacks, self._lock = join(callbacks), self.folder.hold()
         before.check_current(self.folder)
+        if opened.result is None:
+            self.folder.summary.unlink(missing_ok=True)  # it will be replaced
+        else:
+            self.folder.ending.touch()
         write_yaml(self.folder.config, opened.stored | self.plan.to_config())
         logger.info("run folder: %s", self.folder.path)
         if self.plan.total_frames <= self.plan.warmup_frames:
@@ -71,7 +76,6 @@ class Training:
             self._set_up()
             if opened.checkpoint is not None:
                 self._restore(opened.checkpoint)
-            self.folder.summary.unlink(missing_ok=True)  # it will be replaced
 
     def _set_up(self) -> None:
         """Make the learner and the flows."""
@@ -189,11 +193,28 @@ class Training:
         return {f"eval/{name}": value for name, value in metrics.items()}
 
     def _finish(self) -> dict[str, Any]:
-        """Evaluate the best policy and the baselines; write and return the summary."""
-        counters, actor = self.counters, self.learner.actor
-        best = Checkpoint.find(self.folder.path)
+        """Write the result, unless it is there already, let callbacks end, and return it."""
+        folder, actor = self.folder, self.learner.actor
+        best = Checkpoint.find(folder.path)
         self._load(best, {"actor": actor})
-        summary = self._compare() | {
+        if (result := self.opened.result) is None:
+            result = self._compare() | self._describe(best)
+            folder.ending.touch()
+            write_json(folder.summary, result)
+            self.opened = replace(self.opened, result=result)
+        self.callbacks.on_end(
+            result,
+            folder=folder.path,
+            env=self.collector.env,
+            policy=self._make_interruptible(actor),
+        )
+        folder.ending.unlink(missing_ok=True)
+        return result
+
+    def _describe(self, best: Checkpoint) -> dict[str, Any]:
+        """Return the entries of the summary that are no results of the final evaluation."""
+        counters = self.counters
+        return {
             "task": type(self.task).__name__,
             "success": self.opened.success,
             "baselines": list(self.opened.baselines),
@@ -208,17 +229,6 @@ class Training:
             "wall_seconds": self._wall_seconds(),
             "mlups": compute_mlups(self.task, counters.frames, counters.collect_seconds),
         }
-        env, policy, folder = self.collector.env, self._make_interruptible(actor), self.folder
-        try:
-            self.callbacks.on_end(summary, folder=folder.path, env=env, policy=policy)
-        except Interrupted:  # unfinished, so that a resume repeats the end
-            raise
-        except Exception:
-            write_json(folder.summary, summary)
-            raise
-        summary["wall_seconds"] = self._wall_seconds()
-        write_json(folder.summary, summary)
-        return summary
 
     def _compare(self) -> dict[str, Any]:
         """Return the final metrics of the learned policy, and ``<name>_...`` of each baseline."""

@@ -35,6 +35,7 @@ class Opened:
     folder: RunFolder  #: its folder; a new one may get another name
     stored: dict[str, Any] = field(default_factory=dict)  #: ``config.yaml`` as read; {} if new
     checkpoint: Checkpoint | None = None  #: from which it continues
+    result: dict[str, Any] | None = None  #: its result if only ``Callback.on_end`` is left
     summary: dict[str, Any] | None = None  #: its result if it is finished
 
     @cached_property
@@ -146,17 +147,27 @@ def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
         stored = Plan.from_config(config)
         plan = stored.change(**changes)
     opened = Opened(plan=plan, folder=folder, stored=config)
-    if folder.summary.is_file() and not folder.failure.is_file():
-        summary = read_summary(folder.summary)
-        late = [entry.name for entry in list_fields(type(plan)) if entry.role is Role.EVALUATION]
-        is_same = all(getattr(plan, name) == getattr(stored, name) for name in late)
-        if is_same and plan.total_frames <= summary.get("frames", 0):
-            return replace(opened, summary=summary)
+    result = read_summary(folder.summary) if folder.summary.is_file() else {}
+    has_result = plan.total_frames <= result.get("frames", 0)
+    has_result &= _evaluates_alike(plan, stored, Plan)
+    is_cut_off = folder.ending.is_file() or folder.failure.is_file()
+    if has_result and not is_cut_off and _evaluates_alike(plan, stored, type(plan)):
+        return replace(opened, summary=result)
     if not folder.has_begun():
         return opened
     checkpoint = Checkpoint.read(folder.last)
     _refuse_other(plan, Plan.from_config(checkpoint.config), checkpoint.path)  # it has a checksum
-    return replace(opened, checkpoint=checkpoint)
+    has_result &= checkpoint.frames == result.get("frames")
+    return replace(opened, checkpoint=checkpoint, result=result if has_result else None)
+
+
+def _evaluates_alike(plan: Plan, stored: Plan, kind: type[Plan]) -> bool:
+    """Return whether the fields of ``kind`` ask for the same final evaluation.
+
+    Those that a program adds to ``Plan`` concern ``Callback.on_end``.
+    """
+    late = [entry.name for entry in list_fields(kind) if entry.role is Role.EVALUATION]
+    return all(getattr(plan, name) == getattr(stored, name) for name in late)
 
 
 def _refuse_other(plan: Plan, stored: Plan, path: Path) -> None:

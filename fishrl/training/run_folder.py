@@ -46,6 +46,7 @@ class RunFolder:
         self.config = path / "config.yaml"  # the whole configuration, resolved
         self.metrics = path / "metrics.csv"  # one row per log step
         self.summary = path / "summary.json"  # the result of the run
+        self.ending = path / ".ending"  # there while ``on_end`` of this result is not over
         self.last = path / "checkpoints" / "last"  # the newest, from which a run resumes
         self.best = path / "checkpoints" / "best"  # the one with the best evaluation
         self.failure = path / "failure.txt"  # why the run failed; the last line is the message

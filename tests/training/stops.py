@@ -38,7 +38,7 @@ def run_and_stop(training: Training, env: Any, *, step: int, evaluating: bool = 
 KILLED_RUN = """
 import json, os, signal, sys
 from pathlib import Path
-from fishrl.training import Training, complete, open_run, opening
+from fishrl.training import Callback, Training, complete, open_run, opening
 from tests.training.conftest import QUICK, make_toy_plan
 from tests.training.toy_fish import ToyFishEnv, make_toy_env
 opening.make_env = make_toy_env
@@ -49,13 +49,17 @@ def step_or_end(self, td):
         os.kill(os.getpid(), signal.SIGKILL)
     return step(self, td)
 ToyFishEnv._step = step_or_end
+class Ending(Callback):
+    def on_end(self, *_, **__):
+        os.kill(os.getpid(), signal.SIGKILL)
 settings = QUICK | json.loads(sys.argv[3])
-complete(Training(open_run(make_toy_plan(Path(sys.argv[1]), name="run", **settings))))
+plan = make_toy_plan(Path(sys.argv[1]), name="run", **settings)
+complete(Training(open_run(plan), callbacks=[Ending()]))
 """
 
 
-def run_and_kill(folder: Path, *, step: int, **settings: Any) -> None:
-    """Run a training in another process, which is killed in one of its steps."""
+def run_and_kill(folder: Path, *, step: int = 0, **settings: Any) -> None:
+    """Run a training in another process, which is killed in one of its steps, 0 for its end."""
     done = subprocess.run(
         [sys.executable, "-c", KILLED_RUN, str(folder), str(step), json.dumps(settings)],
         cwd=Path(__file__).parents[2],

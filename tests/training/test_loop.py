@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
 import torch
@@ -19,12 +19,23 @@ from torchrl.envs.utils import check_env_specs
 
 from fishrl.envs import Flows, Predation
 from fishrl.envs.episodes import Episodes
-from fishrl.training import Algorithm, Callback, DiscreteSAC, Interrupted, open_run
+from fishrl.settings import Role
+from fishrl.training import (
+    Algorithm,
+    Callback,
+    DiscreteSAC,
+    Interrupted,
+    Plan,
+    complete,
+    open_run,
+    resume,
+)
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.loop import Training
 from fishrl.training.metrics import list_metrics
+from fishrl.training.run_folder import RunFolder, read_summary
 from tests.envs.conftest import SMALL
 from tests.envs.kinematic_solver import KinematicSolver
 from tests.training.conftest import (
@@ -34,6 +45,7 @@ from tests.training.conftest import (
     make_toy_plan,
     read_rows,
 )
+from tests.training.stops import run_and_kill
 from tests.training.toy_fish import ToyPredation, make_toy_env
 
 
@@ -186,15 +198,45 @@ def test_callback_sees_training_and_evaluations(toy: Toy) -> None:
     assert watcher.seen == ["begin 8", *episodes, "finish 16", "close"]
 
 
-def test_run_interrupted_in_on_end_is_not_finished(toy: Toy) -> None:
-    for name, error, is_there in (
-        ("stopped", Interrupted(signal.SIGTERM), False),
-        ("failed", OSError("no place for pictures"), True),
-    ):
-        training = toy.begin(name=name, callbacks=[Watcher(error)], total_frames=16, **QUICK)
-        with pytest.raises(type(error)):
-            training.run()
-        assert (toy.folder / name / "summary.json").is_file() == is_there
+@pytest.mark.parametrize(
+    "end",
+    [None, Interrupted(signal.SIGTERM), OSError("no place"), ChildProcessError("a worker died")],
+    ids=["killed", "interrupted", "failed", "worker died"],
+)
+def test_run_cut_off_in_on_end_keeps_its_result_and_repeats_on_end_alone(
+    toy: Toy, end: Exception | None
+) -> None:
+    if end is None:
+        run_and_kill(toy.folder, total_frames=16)
+    else:
+        first = Watcher(end)
+        training = toy.begin(name="run", callbacks=[first], total_frames=16, **QUICK)
+        with pytest.raises(type(end)):
+            complete(training)
+        assert first.seen.count("restart") == 2  # evaluations
+    run = RunFolder(toy.folder / "run")
+    result, watcher = read_summary(run.summary), Watcher()
+    assert resume(run.path, callbacks=[watcher]) == result
+    assert watcher.seen == ["begin 8", "finish 16", "close"]
+    assert open_run(run.path).summary == result
+    assert not run.failure.is_file()
+
+
+class Drawn(Plan):
+    """Settings of a program that draws pictures in ``on_end``."""
+
+    num_pictures: Annotated[int, Role.EVALUATION] = 1
+
+
+def test_other_pictures_repeat_on_end_alone(toy: Toy) -> None:
+    base = make_toy_plan(toy.folder, name="run", total_frames=16, **QUICK)
+    plan = Drawn(**vars(base))
+    for number, changes in enumerate(({}, {"num_pictures": 2}, {"final_episodes": 3}), 1):
+        plan, watcher = replace(plan, **changes), Watcher()
+        complete(Training(open_run(plan), callbacks=[watcher]))
+        assert watcher.seen.count("restart") == (2, 0, 1)[number - 1]
+        assert "finish 16" in watcher.seen
+        assert open_run(plan).summary is not None
 
 
 ONLINE = {
