@@ -18,9 +18,7 @@ TINY |= {"domain_bl": (5.0, 2.4)}
 
 
 @pytest.mark.parametrize("is_continuous", [False, True])
-def test_bending_fish_is_turned_by_water_alone(
-    is_continuous: bool,
-) -> None:
+def test_bending_fish_is_turned_by_water_alone(is_continuous: bool) -> None:
     beat = ContinuousFrequency() if is_continuous else MacroActions(rows=((0.5, 1.0, 1.5),))
     task = KarmanGait(**TINY, control=Bend(beat=beat, bend_bl=0.1, response_T=0.125))
     env = make_flows(task, 2)

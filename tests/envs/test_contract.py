@@ -107,9 +107,7 @@ def test_no_episode_begins_terminated(task: AbstractTask) -> None:
     assert not task.is_terminated(env.now).any()
 
 
-def test_measurement_is_a_copy_without_side_effects(
-    task: AbstractTask,
-) -> None:
+def test_measurement_is_a_copy_without_side_effects(task: AbstractTask) -> None:
     env = make_flows(task, 2)
     env.reset()
     before, first = env.solver.state_dict(), env.measure()

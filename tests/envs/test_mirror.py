@@ -39,7 +39,7 @@ IN_STREAM = STREAM | {
 TASKS: dict[str, AbstractTask] = {
     "fish that turns": Predation(**MIRRORED),
     "pair": PredationPair(
-        **MIRRORED | {"domain_bl": (5.0, 4.0), "food_y_bl": 2.0, "food_limits_bl": (1.0, 3.0)},
+        **MIRRORED | {"domain_bl": (5.0, 4.0), "food_y_bl": 2.0, "food_limits_bl": (1.0, 3.0)}
     ),
     "fish in a stream": KarmanGait(**IN_STREAM | {"control": BEND}),
     "steered fish in a stream": KarmanGait(**IN_STREAM, steering=PIDSteering()),

@@ -10,11 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import CatFrames, StepCounter, Transform, TransformedEnv, check_env_specs
 
-from fishrl.envs import (
-    KarmanGait,
-    Oracle,
-    Predation,
-)
+from fishrl.envs import KarmanGait, Oracle, Predation
 from fishrl.envs.control import DirectFrequencies
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.modules import LateralLineClassifier

@@ -40,9 +40,7 @@ def _run(tmp_path: Path, *, is_fresh: bool = False, **settings: object) -> Outco
 
 
 @pytest.mark.usefixtures("threads")
-def test_cached_results_are_read_unless_arguments_change_or_fresh(
-    tmp_path: Path,
-) -> None:
+def test_cached_results_are_read_unless_arguments_change_or_fresh(tmp_path: Path) -> None:
     _run(tmp_path, values=(2.0, 3.0))
     outcome = _run(tmp_path, values=(2.0, 4.0))
     assert _read_log(tmp_path) == ["2", "3", "4"]

@@ -29,12 +29,7 @@ ONE = torch.ones(1, dtype=torch.float64)
 def make_cylinder(motion: Motion, **changes: object) -> FlowConfig:
     body = Cylinder(diameter=16, motion=motion)
     config = FlowConfig(
-        width=SIZE,
-        height=SIZE,
-        tau=0.6,
-        bodies=(body,),
-        boundaries=PERIODIC,
-        skin=BounceBack(),
+        width=SIZE, height=SIZE, tau=0.6, bodies=(body,), boundaries=PERIODIC, skin=BounceBack()
     )
     return replace(config, **changes)  # type: ignore[arg-type]
 
@@ -264,9 +259,7 @@ def test_body_of_another_skin_is_refused() -> None:
 
 
 @pytest.mark.parametrize("corner", [(MARGIN, MARGIN), (SIZE - 1 - MARGIN, SIZE - 1 - MARGIN)])
-def test_links_within_margin_are_on_grid(
-    corner: tuple[float, float],
-) -> None:
+def test_links_within_margin_are_on_grid(corner: tuple[float, float]) -> None:
     """Compared with a grid so large that no node is clamped."""
     low = torch.tensor(corner, dtype=torch.float64) == MARGIN
     for seed in range(12):

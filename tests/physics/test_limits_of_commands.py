@@ -73,10 +73,7 @@ def control(config: FlowConfig, name: str, value: float) -> None:
 
 @pytest.mark.parametrize(
     ("way", "name"),
-    [
-        (construct, "frequency"),
-        *product((command, control), ("frequency", "turn", "amplitude")),
-    ],
+    [(construct, "frequency"), *product((command, control), ("frequency", "turn", "amplitude"))],
 )
 @pytest.mark.parametrize("body", LIMITS, ids=lambda body: type(body.motion).__name__)
 def test_every_way_of_commanding_a_body_has_the_bound_of_its_constructor(

@@ -79,9 +79,7 @@ OWN = (
 )
 
 
-def test_precedence_of_defaults_presets_and_command_line(
-    tmp_path: Path,
-) -> None:
+def test_precedence_of_defaults_presets_and_command_line(tmp_path: Path) -> None:
     folder = write_yaml_file(tmp_path, "task", OWN)
     write_yaml_file(
         tmp_path,

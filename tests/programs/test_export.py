@@ -119,9 +119,7 @@ def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.Monkey
     assert replayed.metadata["observation_space"]["action_mask"].shape == (3,)
 
 
-def test_unreachable_hub_is_one_line_error(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_unreachable_hub_is_one_line_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
     with socket.create_server(("127.0.0.1", 0)) as closed:
         port = closed.getsockname()[1]

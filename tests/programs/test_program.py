@@ -19,9 +19,7 @@ from fishrl.programs.program import Program, plain_errors, show_command
 ROOT = Path(__file__).parents[2]
 
 
-def test_help_explains_choices_and_settings(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_help_explains_choices_and_settings(capsys: pytest.CaptureFixture[str]) -> None:
     train.main(["--help", "preset=gait_small"])
     said = capsys.readouterr().out
     presets = "follower_small, gait_bend, gait_half, gait_narrow, gait_paper, gait_small"
@@ -37,9 +35,7 @@ def test_help_explains_choices_and_settings(
     assert "  folder=???  folder of a sweep" in capsys.readouterr().out
 
 
-def test_cfg_prints_settings(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_cfg_prints_settings(capsys: pytest.CaptureFixture[str]) -> None:
     train.main(["--cfg", "job", "seed=3"])
     assert yaml.safe_load(capsys.readouterr().out)["seed"] == 3
     with pytest.raises(SystemExit, match="error: unrecognized arguments: --info"):

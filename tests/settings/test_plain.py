@@ -183,9 +183,7 @@ def test_user_named_module_is_imported(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.delitem(sys.modules, "swims_off")
 
 
-def test_class_of_running_script_has_importable_name(
-    tmp_path: Path,
-) -> None:
+def test_class_of_running_script_has_importable_name(tmp_path: Path) -> None:
     script = tmp_path / "own.py"
     script.write_text(
         "from fishrl.settings import Settings, build, describe\n"

@@ -13,12 +13,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.training.checkpoint import (
-    Checkpoint,
-    CheckpointNotWritten,
-    save_checkpoint,
-    write_sums,
-)
+from fishrl.training.checkpoint import Checkpoint, CheckpointNotWritten, save_checkpoint, write_sums
 from fishrl.training.loop import Training
 from fishrl.training.policy_spec import PolicySpec
 from tests.training.conftest import QUICK, Toy, limited_disk, read_rows
@@ -58,9 +53,7 @@ def test_checkpoint_renamed_before_a_kill_is_found(tmp_path: Path) -> None:
     assert (load(tmp_path / "last").weight == 2.0).all()
 
 
-def test_run_folder_gives_best_else_last_checkpoint(
-    tmp_path: Path,
-) -> None:
+def test_run_folder_gives_best_else_last_checkpoint(tmp_path: Path) -> None:
     save(tmp_path / "checkpoints" / "last")
     assert Checkpoint.find(tmp_path).path.name == "last"
     save(tmp_path / "checkpoints" / "best")
@@ -132,9 +125,7 @@ def test_checkpoint_cannot_run_code(tmp_path: Path) -> None:
     assert not (tmp_path / "ran").exists()
 
 
-def test_checkpoint_holds_all_components_as_plain_tensors(
-    toy: Toy,
-) -> None:
+def test_checkpoint_holds_all_components_as_plain_tensors(toy: Toy) -> None:
     training = toy.begin(name="run", total_frames=16, buffer_size=500, **QUICK)
     training.run()
     folder = toy.folder / "run" / "checkpoints" / "last"
@@ -173,10 +164,7 @@ def test_run_ended_in_its_first_checkpoint_starts_over(
 
 
 def test_run_survives_a_full_disk(
-    toy: Toy,
-    whole: Training,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    toy: Toy, whole: Training, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     training = toy.begin(name="run", **QUICK)
     run, conclude = toy.folder / "run", Training._conclude

@@ -22,9 +22,7 @@ def test_second_run_of_a_name_gets_a_number(tmp_path: Path) -> None:
     assert folders == ["run", "run-2", "run-3"]
 
 
-def test_unmeasured_metrics_are_empty_cells(
-    tmp_path: Path,
-) -> None:
+def test_unmeasured_metrics_are_empty_cells(tmp_path: Path) -> None:
     log = CsvLogger()
     log.open(tmp_path, columns=["frames", "train/a", "eval/b"], config={})
     log.log({"frames": 1, "train/a": 0.5})

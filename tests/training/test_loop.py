@@ -38,13 +38,7 @@ from fishrl.training.metrics import list_metrics
 from fishrl.training.run_folder import RunFolder, read_summary
 from tests.envs.conftest import SMALL
 from tests.envs.kinematic_solver import KinematicSolver
-from tests.training.conftest import (
-    QUICK,
-    Toy,
-    assert_equal_weights,
-    make_toy_plan,
-    read_rows,
-)
+from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, read_rows
 from tests.training.stops import run_and_kill
 from tests.training.toy_fish import ToyPredation, make_toy_env
 

@@ -219,13 +219,7 @@ class ToyFishEnv(EnvBase):
         )
 
 
-def make_toy_env(
-    *,
-    task: ToyPredation,
-    flows: Flows,
-    seed: int,
-    **_: Any,
-) -> TransformedEnv:
+def make_toy_env(*, task: ToyPredation, flows: Flows, seed: int, **_: Any) -> TransformedEnv:
     """Stand in for ``fishrl.envs.making.make_env``."""
     env = TransformedEnv(ToyFishEnv(task=task, num_envs=flows.num_envs, seed=seed))
     for transform in (

@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from experiments.gait.diagnostics import (
-    BALANCE,
-    combine_seeds,
-    diagnose,
-    find_phase,
-    trace_work,
-)
+from experiments.gait.diagnostics import BALANCE, combine_seeds, diagnose, find_phase, trace_work
 from experiments.gait.tables import write_free_stream, write_results
 from experiments.gait.trials import Histories
 from fishrl.programs.statistics import half_width

@@ -35,9 +35,7 @@ class LiftedSolver(KinematicSolver):
         disc.impulse.copy_(torch.stack((0.5 * fish.age, lift * fish.age), -1))
 
 
-def test_lift_is_impulse_rate_in_rho_L_and_T(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_lift_is_impulse_rate_in_rho_L_and_T(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fishrl.envs.flow_env, "InPlaceSolver", LiftedSolver)
     task = make_task(time_limit=2)
     index = torch.ones(2, dtype=torch.int64)

@@ -136,9 +136,7 @@ def test_interrupted_while_it_waits_for_workers_a_solver_starts_others(
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
-def test_flow_interrupted_within_step_cannot_continue(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_flow_interrupted_within_step_cannot_continue(monkeypatch: pytest.MonkeyPatch) -> None:
     solver = make_solver(0)
     part = solver._execution.batch.stepper.parts[-1]
     monkeypatch.setattr(part, "run", lambda *tensors: signal.raise_signal(signal.SIGINT))
@@ -243,9 +241,7 @@ def test_a_forked_process_keeps_no_worker_alive_and_ends_none(tmp_path: Path) ->
     os.kill(left.pop(), signal.SIGKILL)
 
 
-def test_workers_import_classes_of_modules_next_to_script(
-    tmp_path: Path,
-) -> None:
+def test_workers_import_classes_of_modules_next_to_script(tmp_path: Path) -> None:
     (tmp_path / "own_motion.py").write_text(OWN_CLASS)
     script = tmp_path / "script.py"
     run, show = "make(compile=False, num_workers=1).advance_(2)", "make()._execution.num_workers"

@@ -44,10 +44,7 @@ def make_episodes(num: int = 40, length: int = 5) -> TensorDict:
     sine = (6.3 * (0.25 + 0.25 * flow[:, None]) * time + phase[:, None]).sin()
     sine = sine.view(num, length, INTERVAL, 1)
     signal[..., KNOWN.index("ahead")] = 1.0 + 0.5 * flow.view(-1, 1, 1, 1) + 0.2 * sine
-    here = {
-        "flow_index": flow,
-        "episode": torch.arange(num),
-    }
+    here = {"flow_index": flow, "episode": torch.arange(num)}
     is_decision = torch.arange(length) < torch.randint(2, length + 1, (num, 1), generator=generator)
     constant = TensorDict(here, [num])[:, None].expand(num, length).clone()
     return constant.update({"lateral_line": signal, "is_decision": is_decision})

@@ -31,9 +31,7 @@ def collected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TensorDic
     return folder, collect(make_settings(folder))
 
 
-def test_collected_episodes_hold_features_and_labels(
-    collected: tuple[Path, TensorDict],
-) -> None:
+def test_collected_episodes_hold_features_and_labels(collected: tuple[Path, TensorDict]) -> None:
     _, episodes = collected
     assert episodes.shape == (4, 2)
     assert episodes["lateral_line"].shape == (4, 2, INTERVAL, 3, len(KNOWN))

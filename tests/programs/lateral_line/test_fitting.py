@@ -101,9 +101,7 @@ def test_classifier_learns_from_informative_features() -> None:
     assert fits[1].held_out.accuracy < 0.75
 
 
-def test_program_writes_classifier_and_figures(
-    tmp_path: Path,
-) -> None:
+def test_program_writes_classifier_and_figures(tmp_path: Path) -> None:
     settings, task = make_settings(num_epochs=10, paper_epochs=3), make_task()
     fits = train_lateral_line(settings, make_episodes(), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {
