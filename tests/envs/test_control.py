@@ -79,21 +79,3 @@ def test_continuous_bend_precedes_frequency_and_amplitude() -> None:
     choice = control.choose(action, torch.tensor([0]), torch.tensor([0]))
     chosen = (choice.bend, choice.frequency, choice.amplitude)
     assert [part.item() for part in chosen if part is not None] == [0.1, 0.7, 0.5]
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: MacroActions(rows=((1, 2), (1, 2, 3))), r"have \[2, 3\] frequencies: give all"),
-        (lambda: MacroActions(rows=((2.0, 1.0),)), "must be rising"),
-        (lambda: MacroActions(rows=ROWS, first_gear=4), "first_gear = 4: .*0 to 3"),
-        (lambda: Bend(beat=Turn()), "give a control of the tail beat alone"),
-        (
-            lambda: ContinuousFrequency(frequency_range=(2.0, 1.0)),
-            "frequency_range = .*must be rising",
-        ),
-    ],
-)
-def test_invalid_settings_are_refused(make: Callable[[], object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
@@ -50,15 +48,3 @@ def test_own_task_gives_its_critics_what_it_likes_by_one_property() -> None:
 def test_without_senses_of_critics_there_is_no_such_entry() -> None:
     state = make_env(task=Predation(**SMALL), flows=FLOWS).reset()
     assert not any("critic" in str(key) for key in state.keys(True))
-
-
-@pytest.mark.parametrize(
-    ("kind", "settings", "said"),
-    [
-        (KarmanGait, {}, "allowed are heading, own_motion, place, .*; did you mean 'place'"),
-        (Predation, SMALL, "allowed are place_of_the_food"),
-    ],
-)
-def test_unknown_sense_is_refused(kind: Any, settings: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValueError, match=rf"critic_observes = \('plaice',\): {said}"):
-        kind(**settings, critic_observes=("plaice",))

@@ -1,6 +1,5 @@
 """Rows, resets, divergence, saved states and illegal actions of the environment, without a flow."""
 
-import inspect
 import logging
 
 import pytest
@@ -21,10 +20,6 @@ def make_twins(task: Predation) -> tuple[FlowEnv, FlowEnv]:
     for env in twins:
         env.reset()
     return twins
-
-
-def test_arguments_are_visible() -> None:
-    assert "flows" in inspect.signature(FlowEnv).parameters
 
 
 def test_partial_reset_changes_its_rows_alone(small_task: Predation) -> None:

@@ -16,21 +16,6 @@ TINY = SMALL | {"body_length": 16, "domain_bl": (6.0, 3.0), "checks_per_action":
 TINY["wall_margin_bl"] = 0.3
 
 
-@pytest.mark.parametrize(
-    ("settings", "problem"),
-    [
-        ({"start_x_bl": (0.5, 1.5)}, "gap"),
-        ({"start_y_bl": (0.0, 0.8), "aside_bl": 0.7}, "behind the leader"),
-        ({"start_x_bl": (1.5, 1.0)}, "least"),
-        ({"leader_x_bl": 1.0}, "too near the edge"),
-        ({"control": Bend()}, "needs continuous actions"),
-    ],
-)
-def test_invalid_settings_are_refused(settings: dict[str, object], problem: str) -> None:
-    with pytest.raises(ValueError, match=problem):
-        Follower(**settings)
-
-
 def with_amplitude(low: float, high: float) -> Bend:
     beat = ContinuousFrequency(frequency_range=(0.7, 1.35), amplitude_range=(low, high))
     return Bend(bend_bl=0.1, response_T=0.25, beat=beat)

@@ -10,11 +10,10 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
 from fishrl.envs import FlowEnv, Flows, KarmanGait, Oracle, make_env
-from fishrl.envs.control import Bend, MacroActions
+from fishrl.envs.control import MacroActions
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.stations import StationReward
-from fishrl.envs.steering import PIDSteering, PolicySteering
-from fishrl.envs.streams import Stream
+from fishrl.envs.steering import PIDSteering
 from tests.envs.conftest import SMALL, act, make_flows, reset_rows
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -231,25 +230,6 @@ def test_danger_area_terminates_with_a_penalty(x: float, y: float) -> None:
     after = act(env, CRUISE)
     assert after["terminated"].all()
     assert after["reward"].item() < 1.2 - 5.0
-
-
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        ({"start_flows": ()}, r"start_flows = \(\): give one or more of the indices 0 to 2"),
-        ({"stream": Stream(speeds_bl=(1.0,)), "start_flows": (0,)}, "control has rows for 3 flows"),
-        (
-            {"control": Bend(beat=MacroActions(rows=ROWS), bend_bl=0.5, response_T=0.2)},
-            "bends the fish by 0.5 L: .* allowed is .*raise control.response_T",
-        ),
-        ({"observes": ("flow_label",)}, "observes = .*: name a sense other than flow_label"),
-        ({"start_x_bl": (0.3, 1.0)}, r"nose at \(0.30, -0.10\) L from the disc, is in the danger"),
-        ({"steering": PolicySteering()}, "decisions_per_T = 4, but the control interval is 1 T: g"),
-    ],
-)
-def test_invalid_settings_are_refused(bad: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make_task(**bad)
 
 
 def test_starts_of_other_flows_and_phases_are_refused() -> None:

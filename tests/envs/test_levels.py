@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import FlowEnv, Flows, KarmanGait, Predation
+from fishrl.envs import FlowEnv, Flows, Predation
 from tests.envs.conftest import act
 
 TASK: dict[str, Any] = {
@@ -24,21 +24,6 @@ def test_period_actions_and_domain_are_rounded_to_levels(levels: int) -> None:
     assert task.scales.period % 2**levels == 0 and task.n_substeps == task.scales.period
     assert (config.width, config.height) == (321, 161)
     assert config.levels == levels
-
-
-@pytest.mark.parametrize(
-    ("kind", "changes", "problem"),
-    [
-        (KarmanGait, {"levels": 2}, "levels = 2 with 2 bodies: levels take one fish alone"),
-        (Predation, TASK | {"wall_margin_bl": 0.3}, "wall_margin_bl = 0.3 is 4.8 nodes"),
-        (Predation, TASK | {"domain_bl": (4.0, 3.0)}, "away from edges and sponges"),
-    ],
-)
-def test_task_that_levels_cannot_carry_is_refused(
-    kind: type, changes: dict[str, Any], problem: str
-) -> None:
-    with pytest.raises(ValueError, match=problem):
-        kind(**changes)
 
 
 def test_environment_acts_and_resumes_on_levels() -> None:

@@ -160,29 +160,6 @@ def test_wall_terminates_without_a_capture(small_task: Predation) -> None:
     assert env.solver.body.age[0] < env.solver.body.age[1] == 106.0  # it stops at its end
 
 
-BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
-    "limits": ({"food_limits_bl": (3.5, 1.5)}, r"lower limit <= food_y_bl <= upper limit"),
-    "in reach": ({"start_x_bl": (2.0, 7.5)}, r"may start with its food in reach"),
-    "falling": ({"food_speed_bl": (0.5, 0.2)}, r"food_speed_bl = .*range from low to high"),
-    "tilt": (
-        {"food_tilt_degrees": (0.0, 80.0), "food_x_bl": 0.9},
-        r"0.985 L to the side, and leave the tank; tilt it less",
-    ),
-    "outside": ({"start_x_bl": (9.9, 9.9)}, r"does not fit; widen"),
-    "turn": ({"control": Turn(turn_degrees=120.0)}, r"turns the fish by 120° .* allowed is"),
-    "former": ({"turn_degrees": 10.0}, r"turn_degrees: give control.turn_degrees"),
-    "older": ({"coupling": "implicit"}, r"coupling: give skin="),
-    "tau": ({"reynolds": 1e6}, r"tau = 0.50.* outside the validated range.*raise body_length"),
-}
-
-
-@pytest.mark.parametrize("case", BAD_ARGUMENTS)
-def test_invalid_settings_are_refused_with_a_remedy(case: str) -> None:
-    arguments, message = BAD_ARGUMENTS[case]
-    with pytest.raises(ValueError, match=message):
-        Predation(**SMALL | arguments)
-
-
 BAD_STARTS: dict[str, tuple[TensorDict, str]] = {
     "near": (starts_at((6.0, 0.2)), r"start 0.*too near the edge; it must keep 3 nodes"),
     "in reach": (starts_at((2.6, 2.5)), r"within capture_radius = 5 nodes of its food"),

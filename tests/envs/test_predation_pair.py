@@ -69,17 +69,3 @@ def test_contact_ends_the_episode_before_fish_overlap() -> None:
     assert not after["caught"].any()
     rewards = after["agents", "reward"].squeeze(-1)
     assert rewards.max() < -5.0
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"contact_bl": 0.04}, "contact_bl = 0.04: is 0.8 nodes; must be at least 1 node"),
-        ({"start_gap_bl": 4.0}, "start_gap_bl = 4.0: two noses do not fit into start_y_bl"),
-        ({"start_gap_bl": 0.9, "contact_bl": 0.85}, r"starts have fish 0\.\d+ L apart: must be"),
-        ({"start_gap_bl": 0.1}, r"starts have fish 0\.\d+ L apart: must be"),
-    ],
-)
-def test_invalid_settings_are_refused(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        PredationPair(**SMALL, **settings)

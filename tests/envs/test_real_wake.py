@@ -10,7 +10,7 @@ from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
-from tests.envs.conftest import act, make_flows, read_flows, reset_rows
+from tests.envs.conftest import make_flows
 
 #: A stream of 4 L x 2.4 L, where an eager action takes about a second.
 TINY = {
@@ -39,32 +39,6 @@ def make_task(**changes: object) -> KarmanGait:
 @pytest.fixture(scope="module")
 def task() -> KarmanGait:
     return make_task()
-
-
-def test_row_equals_single_flow_across_resets(task: KarmanGait) -> None:
-    starts = task.sample_starts(3, torch.Generator().manual_seed(4))
-    starts["flow_index"] = torch.tensor([0, 2, 1])
-    env, alone = make_flows(task, 2, starts=starts[:2]), make_flows(task, 1, starts=starts[1:2])
-    other = make_flows(task, 1, starts=starts[:1])
-    for flows in (env, alone, other):
-        flows.reset()
-    together = act(env, 0, 2)
-    for row, action, single in ((0, 0, other), (1, 2, alone)):
-        assert (act(single, action)[0] == together[row]).exclude("start_index").all()
-        for name, value in read_flows(single).items():
-            assert torch.equal(value[0], read_flows(env)[name][row]), name
-    before = read_flows(env)
-    with env.set_starts(starts[2:]):
-        reset_rows(env, True, False)
-    after = read_flows(env)
-    for name, value in before.items():
-        assert torch.equal(after[name][1], value[1]), name
-    assert not torch.equal(after["populations"][0], before["populations"][0])
-    assert after["flow_index"].tolist() == [1, 2]
-    act(env, 1, 1)
-    act(alone, 1)
-    for name, value in read_flows(alone).items():
-        assert torch.equal(value[0], read_flows(env)[name][1]), name
 
 
 def test_episode_begins_behind_its_disc_and_in_its_wake(task: KarmanGait) -> None:

@@ -68,20 +68,3 @@ def test_flow_index_is_nearest_speed_behind_same_disc() -> None:
     for _ in range(2):
         after = act(env, 1, 1)
     assert after["flow_index"].squeeze(-1).tolist() == [1, 2]
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"speeds_bl": (1.0, 1.0)}, r"\['1 L/T', '1 L/T'\]: must differ"),
-        ({"diameter_bl": (0.4, 0.5)}, r"= \(0.4, 0.5\): 2 for 3 entries of speeds_bl; give one"),
-        ({"diameter_bl": ()}, "0 for 3 entries"),
-        ({"diameter_bl": (0.4, 0.4, 0.3)}, "diameter = 6.0: must be greater than"),  # in nodes
-        ({"diameter_bl": (0.4, 0.4, 2.15)}, r"DCylinder .*: they would lie 0.09 nodes apart"),
-        # the largest lies beyond the inflow
-        ({"face_bl": 0.3, "diameter_bl": (0.4, 0.6, 0.4)}, "the half disc exceeds the domain"),
-    ],
-)
-def test_invalid_discs_are_refused(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make_task(Stream(**settings))

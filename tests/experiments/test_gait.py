@@ -10,20 +10,17 @@ from typing import Any
 
 import pytest
 import torch
-from torch import nn
 
 from experiments import transfer
 from experiments.gait.trials import load_trial, make_trial, name_arm
 from fishrl.envs import KarmanGait, Oracle
 from fishrl.envs.control import DirectFrequencies
-from fishrl.envs.steering import PolicySteering
 from fishrl.modules import LateralLineClassifier
 from fishrl.programs.train import RunCallback
 from fishrl.programs.train_settings import TRAINING
 from fishrl.training import Classifier, complete, open_run
 from fishrl.training.callback import SILENT
 from fishrl.training.loop import Training
-from fishrl.training.policies import load_policy
 from tests.envs.conftest import move_kinematically
 from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
 from tests.training.conftest import read_rows
@@ -113,12 +110,3 @@ def test_run_with_classifier_resumes_exactly(trained: Path, tmp_path: Path) -> N
     assert resumed["updates"] == whole["updates"] > 0
     assert list_learned(tmp_path / "moved") == list_learned(trained / "classifier")
     assert read_rows(tmp_path / "moved")[-1] == read_rows(trained / "classifier")[-1]
-
-
-def test_predation_policy_becomes_heading_controller(tmp_path: Path) -> None:
-    path, policy = tmp_path / "steering.pt", load_policy("zoo/predation_sharp")
-    layers = [module for module in policy.modules() if isinstance(module, nn.Linear)]
-    torch.save([(layer.weight.detach(), layer.bias.detach()) for layer in layers], path)
-    steering = PolicySteering(path=str(path))
-    observations = torch.zeros(3, steering.num_stacked, 4, dtype=torch.float64)
-    assert steering.turn(observations).shape == (3,)

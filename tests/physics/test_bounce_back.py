@@ -19,7 +19,7 @@ from fishrl.physics.lattice import CX, CY
 from fishrl.physics.skins import BounceBack, ImmersedBoundary, Skin
 from fishrl.physics.skins import links as links_module
 from fishrl.physics.skins.links import AGAINST, ALONG, MARGIN, Links, to_links, to_markers
-from tests.physics.flows import advance, start_solver
+from tests.physics.flows import advance
 
 SIZE = 64
 MIDDLE = torch.tensor([[30.3, 29.6]], dtype=torch.float64)
@@ -226,26 +226,6 @@ def test_a_turning_cylinder_drags_the_water_as_stokes_second_problem() -> None:
         return 2.0 * math.pi * radius * radius * flat
 
     assert got == pytest.approx(impulse(200.0) - impulse(40.0), rel=0.03)
-
-
-def test_in_place_step_of_two_bodies_equals_readable_step() -> None:
-    """A still cylinder and one that the wake moves."""
-    still = Cylinder(diameter=12, motion=Fixed())
-    free = replace(still, motion=Free())
-    config = make_cylinder(Free(), bodies=(free, still), stream_speed=0.05)
-    places = torch.tensor([[[40.2, 30.1], [18.7, 33.4]]], dtype=torch.float64)
-    solver = start_solver(config, places, torch.zeros(1, 2), velocity=(1.0, 0.0))
-    solver.advance_(60)
-    none = torch.zeros(1, SIZE, SIZE, dtype=torch.float64)
-    bodies = tuple(make_body(place, 0 * ONE, 0 * ONE) for place in places.unbind(1))
-    carried = torch.tensor([[0.05, 0.0]], dtype=torch.float64)
-    bodies = bodies[0]._replace(velocity=carried), bodies[1]
-    state = advance(FlowState(make_uniform(none, none + 0.05, none), bodies), config, 60)
-    assert float(state.bodies[1].impulse[0, 0]) > 1.0
-    for got, expected in zip(solver.bodies, state.bodies, strict=True):
-        scale = float(expected.impulse.abs().max())
-        assert float((got.impulse - expected.impulse).abs().max()) < 1e-4 * scale
-        assert float((got.position - expected.position).abs().max()) < 1e-4
 
 
 def test_body_of_another_skin_is_refused() -> None:

@@ -10,27 +10,16 @@ from pathlib import Path
 import imageio_ffmpeg
 import pytest
 
-from fishrl.envs.scene import Frame
 from fishrl.programs import view
-from fishrl.programs.train import RunCallback
-from fishrl.programs.train_settings import TRAINING, TrainConfig
-from fishrl.training import complete, open_run
-from fishrl.training.callback import SILENT
-from fishrl.training.loop import Training
+from fishrl.programs.train_settings import TRAINING
 from fishrl.training.run_folder import write_yaml
-from fishrl.viewer import Drawing, Server
+from fishrl.viewer import Server
 from fishrl.viewer.process import HOST
 from tests.experiments.gait.tasks import OVERRIDES
-from tests.experiments.test_gait import SETTINGS
-from tests.training.conftest import read_rows
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
 GAIT = ["preset=gait_small", *OVERRIDES, "flows.compile=false"]
-
-
-def run(config: TrainConfig) -> None:
-    complete(Training(open_run(config), callbacks=[RunCallback(config, SILENT)]))
 
 
 def list_entities(path: Path) -> str:
@@ -121,33 +110,6 @@ def test_errors_are_one_line(
     with pytest.raises(SystemExit, match=said) as error:
         view.main(arguments)
     assert "\n" not in str(error.value)
-
-
-def test_live_view_does_not_change_learning(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    settings = [*SETTINGS, "recognition=oracle", f"folder={tmp_path}", "picture_episodes=0"]
-    settings += ["total_frames=32", "warmup_frames=8", "eval_frames=16", "eval_episodes=2"]
-    settings += ["final_episodes=1", "baselines=[]", "task.time_limit=4"]
-    run(TRAINING.read([*settings, "name=alone"]))
-    drawn: list[tuple[int, float]] = []
-    draw = Drawing.draw
-
-    def note(drawing: Drawing, flow: int, frame: Frame) -> None:
-        assert {"flow_probabilities", "action_mask", "signal"} <= set(frame.values)
-        drawn.append((flow, frame.time))
-        draw(drawing, flow, frame)
-
-    monkeypatch.setattr(Drawing, "draw", note)
-    seen = ["name=seen", "live=true", "shown_flows=[1,2]", "port=29620", "live_share=1.0"]
-    run(TRAINING.read([*settings, *seen]))
-    assert read_rows(tmp_path / "seen") == read_rows(tmp_path / "alone")
-    assert {flow for flow, _ in drawn} == {1, 2}
-    for flow in (1, 2):
-        times = [time for own, time in drawn if own == flow]
-        # 8 decisions of a quarter of a T each in training alone, about 8 frames in a T
-        assert len(times) > 8 * 0.25 * 8 * 0.7
-        assert times == sorted(times)
 
 
 def test_resumed_run_is_live_only_on_request(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 from collections.abc import Callable
@@ -123,24 +122,6 @@ def test_checkpoint_cannot_run_code(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="corrupt or not a checkpoint"):
         load(tmp_path / "last")
     assert not (tmp_path / "ran").exists()
-
-
-def test_checkpoint_holds_all_components_as_plain_tensors(toy: Toy) -> None:
-    training = toy.begin(name="run", total_frames=16, buffer_size=500, **QUICK)
-    training.run()
-    folder = toy.folder / "run" / "checkpoints" / "last"
-    manifest = json.loads((folder / "manifest.json").read_text())
-    parts = {"actor", "loss", "optimiser", "buffer", "collector", "rng", "counters"}
-    assert set(manifest["components"]) == parts
-    files = list(folder.rglob("state.pt"))
-    names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
-    sums = [line.split("  ")[1] for line in (folder / "SHA256SUMS").read_text().splitlines()]
-    assert (len(files), len(names)) == (len(parts), len(parts) + 2)
-    assert names == {*sums, "SHA256SUMS"}
-    states = {path.parent.name[5:]: torch.load(path, weights_only=True) for path in files}
-    stored = states["buffer"]["_storage"]["_storage"]
-    rows = [value for value in stored.values() if isinstance(value, torch.Tensor)]
-    assert rows and all((value[16:] == 0).all() for value in rows)
 
 
 def test_run_ended_in_its_first_checkpoint_starts_over(

@@ -15,7 +15,6 @@ from typing import Annotated, Any
 
 import pytest
 import torch
-from torchrl.envs.utils import check_env_specs
 
 from fishrl.envs import Flows, Predation
 from fishrl.envs.episodes import Episodes
@@ -40,7 +39,6 @@ from tests.envs.conftest import SMALL
 from tests.envs.kinematic_solver import KinematicSolver
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, read_rows
 from tests.training.stops import run_and_kill
-from tests.training.toy_fish import ToyPredation, make_toy_env
 
 
 def test_run_writes_its_settings_metrics_checkpoints_and_summary(
@@ -89,15 +87,6 @@ def test_metrics_are_flushed_before_each_checkpoint(
 def test_another_seed_gives_other_metrics(toy: Toy, whole: Training) -> None:
     toy.begin(name="other", seed=1, **QUICK).run()
     assert toy.rows("other") != read_rows(whole.folder.path)
-
-
-def test_actions_are_legal_and_diverged_transitions_are_not_stored(toy: Toy) -> None:
-    training = toy.begin(task={"divergence_rate": 0.1, "banned_action": 2}, **QUICK)
-    training.run()
-    counters, buffer = training.counters, training.learner.buffer
-    assert counters.diverged > 5
-    assert len(buffer) == counters.frames - counters.diverged
-    assert set(buffer[:]["action"].tolist()) == {0, 1}  # in warm-up and by the policy
 
 
 @pytest.mark.usefixtures("kinematic")
@@ -275,13 +264,6 @@ def test_fish_learns_to_catch_still_food(
     # These seeds gave 29, 29, 32 and 32 captures of 32, and random actions 6, 5, 9 and 3.
     assert summary["success_rate"] >= 0.75
     assert summary["random_success_rate"] <= 0.4
-
-
-@pytest.mark.parametrize("is_continuous", [False, True])
-def test_toy_env_passes_check_env_specs(is_continuous: bool) -> None:
-    """The stand-in passes TorchRL's own check, so that a failure here is one of the loop."""
-    task: Any = ToyPredation(is_continuous=is_continuous)
-    check_env_specs(make_toy_env(task=task, flows=Flows(num_envs=3), seed=0))
 
 
 def test_run_without_gradient_steps_warns_once(toy: Toy, caplog: pytest.LogCaptureFixture) -> None:

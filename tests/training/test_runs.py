@@ -90,23 +90,6 @@ def test_run_resumed_after_sigkill_equals_an_uninterrupted_run(toy: Toy, whole: 
     assert_equal_weights(resumed, whole)
 
 
-def test_run_with_all_that_changes_learning_resumes_exactly_after_sigkill(toy: Toy) -> None:
-    settings: dict[str, Any] = {
-        "actor_average": 60,
-        "scale_inputs": True,
-        "reflect": True,
-        "task": {"critic_observes": ("heading",)},
-    }
-    whole = toy.begin(name="whole", **settings, **QUICK)
-    whole.run()
-    run_and_kill(toy.folder, step=23, **settings)
-    resumed = toy.reopen("run")
-    assert resumed.counters.frames == 160
-    resumed.run()
-    assert toy.rows("run") == toy.rows("whole")
-    assert_equal_weights(resumed, whole)
-
-
 class Counts(Callback):
     """Where each progress bar ends."""
 
@@ -142,6 +125,7 @@ def test_run_resumed_after_a_signal_equals_an_uninterrupted_run(
 
 #: Algorithms, and the gradient steps of each in 240 frames of 8 flows, 80 of them warm-up.
 ALGORITHMS: list[tuple[Algorithm, float]] = [
+    (DiscreteSAC(), (240 - 80) * 0.25),
     (DQN(epsilon_frames=60), (240 - 80) * 0.25),
     (DRQN(sequence_length=4, epsilon_frames=60), (240 - 80) * 0.25),
     (SAC(), (240 - 80) * 0.25),
@@ -157,8 +141,14 @@ def test_every_algorithm_resumes_exactly(
     toy: Toy, algorithm: Algorithm, num_updates: float
 ) -> None:
     legal = {"is_continuous": True} if isinstance(algorithm, SAC) else {"banned_action": 1}
+    can_more = isinstance(algorithm, DiscreteSAC)
     settings: dict[str, Any] = {
-        "task": {"divergence_rate": 0.03, **legal},
+        "task": {
+            "divergence_rate": 0.03,
+            "critic_observes": ("heading",) if can_more else (),
+            **legal,
+        },
+        "reflect": can_more,
         "algorithm": algorithm,
         "batch_size": 18 if isinstance(algorithm, PPO) else 64,
         "buffer_size": 130,  # the oldest are forgotten on the way

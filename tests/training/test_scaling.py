@@ -7,14 +7,14 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from fishrl.training import Algorithm, DiscreteSAC, load_policy
+from fishrl.training import Algorithm, DiscreteSAC
 from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.learner import Learner
 from fishrl.training.scaling import InputScale
-from tests.training.conftest import QUICK, Toy
+from tests.training.conftest import Toy
 
 ALGORITHMS = [DiscreteSAC(), SAC(), DQN(), DRQN(), DRQN(is_double=True), PPO(rollout_length=8)]
 
@@ -71,12 +71,3 @@ def test_constant_numbers_are_only_shifted() -> None:
     scaled = scale(TensorDict({"observation_stack": stack + torch.tensor([2.0, 0, 0, 0])}, [2]))
     expected = torch.tensor([2.0, -1.0, 0.0, 1.0]).expand(2, -1)
     torch.testing.assert_close(scaled["observation_stack"], expected)
-
-
-def test_saved_policy_is_a_plain_one(toy: Toy) -> None:
-    training = toy.begin(name="run", scale_inputs=True, total_frames=120, **QUICK)
-    training.run()
-    loaded, plain = load_policy(toy.folder / "run"), DiscreteSAC().make_policy(training.opened.spec)
-    assert loaded.state_dict().keys() == plain.state_dict().keys()
-    for name, value in training.learner.actor.state_dict().items():
-        assert torch.equal(value, loaded.state_dict()[name])

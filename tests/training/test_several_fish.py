@@ -9,9 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import Flows, PredationPair, make_env
-from fishrl.envs.episodes import run_episodes
-from fishrl.modules import PursuitPolicy
+from fishrl.envs import Flows, PredationPair
 from fishrl.training import Algorithm, DiscreteSAC, Plan, Training, evaluate, open_run
 from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
@@ -87,14 +85,3 @@ def test_run_with_several_fish_resumes_exactly(tmp_path: Path) -> None:
 def test_recurrent_policy_of_several_fish_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="the discrete actions of several fish"):
         make_plan(tmp_path, algorithm=DRQN(sequence_length=4))
-
-
-def test_pursuit_catches_the_food_and_outcomes_are_counted() -> None:
-    task = PredationPair(**SMALL, time_limit=60)
-    env = make_env(task=task, flows=Flows(num_envs=4, compile=False))
-    starts = task.sample_starts(8, torch.Generator().manual_seed(0))
-    outcome = run_episodes(env, PursuitPolicy(), starts)
-    caught = outcome.counted["caught_0"] | outcome.counted["caught_1"]
-    assert torch.equal(caught, outcome.succeeded) and caught.any()
-    metrics = outcome.metrics()
-    assert metrics["contact_rate"] == float(outcome.counted["contact"].double().mean())

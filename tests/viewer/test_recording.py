@@ -112,13 +112,6 @@ def test_episodes_are_recorded_from_start_to_capture(num_envs: int) -> None:
         assert not {"pressure", "speed"} & set(recording.frames[0].values)
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_unnamed_success_is_called_success(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Predation, "name_endings", lambda task, now: {})
-    _, (reached, _), _ = record(1)
-    assert reached.ending == Ending(words="success", is_success=True)
-
-
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA")
 def test_gpu_flows_are_recorded_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:

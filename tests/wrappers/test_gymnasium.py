@@ -86,18 +86,6 @@ def test_continuous_actions_are_a_box(mode: str) -> None:
         envs.action_masks()
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_seed_determines_episodes(mode: str) -> None:
-    envs, courses = make(mode), []
-    for seed in (5, 5, 6):
-        course = [envs.reset(seed=seed)[0]]
-        course += [envs.step(keep())[0] for _ in range(LIMIT)]
-        courses.append(np.stack(course))
-    assert np.array_equal(courses[0], courses[1])
-    assert not np.array_equal(courses[0], courses[2])
-    assert not np.array_equal(courses[0][0, 0], courses[0][0, 1])  # rows differ
-
-
 def test_next_step_autoreset_resets_without_advancing_the_flow() -> None:
     envs = make("NextStep")
     envs.reset(seed=0)

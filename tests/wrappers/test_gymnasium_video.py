@@ -9,6 +9,7 @@ from fishrl.envs import Flows, Predation, make_env
 from fishrl.wrappers.gymnasium import FlowVectorEnv
 from tests.envs.conftest import SMALL
 
+pytestmark = pytest.mark.usefixtures("kinematic")
 TASK = Predation(**SMALL, domain_bl=(6.0, 4.0), start_x_bl=(3.0, 4.0))
 
 
@@ -32,7 +33,6 @@ def test_each_row_is_rendered() -> None:
     assert not np.array_equal(*before)  # they start at different places
 
 
-@pytest.mark.usefixtures("kinematic")
 def test_path_restarts_with_each_episode() -> None:
     pictures = []
     for seen_before in (0, 2):
@@ -51,7 +51,6 @@ def test_path_restarts_with_each_episode() -> None:
     assert not np.array_equal(other, pictures[0][1])  # its episode and path continue
 
 
-@pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize(("mode", "end"), [("NextStep", "time is over"), ("SameStep", "")])
 def test_last_picture_of_episode_shows_ending(mode: str, end: str) -> None:
     env = make_env(task=replace(TASK, time_limit=2), flows=Flows(num_envs=1, compile=False))

@@ -15,10 +15,10 @@ from fishrl.wrappers.gymnasium import TASKS, FlowVectorEnv
 from fishrl.wrappers.pettingzoo import FlowParallelEnv
 from tests.envs.conftest import CONTINUOUS, SMALL
 
+pytestmark = pytest.mark.usefixtures("kinematic")
 SETTINGS = {**SMALL, "time_limit": 3, "flows": Flows(compile=False)}
 
 
-@pytest.mark.usefixtures("kinematic")
 def test_ids_make_vector_and_single_environments() -> None:
     envs = gymnasium.make_vec("fishrl/Predation-v0", num_envs=2, **SETTINGS)
     assert isinstance(envs.unwrapped, FlowVectorEnv) and envs.num_envs == 2
@@ -42,7 +42,6 @@ def test_ids_make_vector_and_single_environments() -> None:
         gymnasium.make("fishrl/Predation-v0", num_envs=4, **SETTINGS)
 
 
-@pytest.mark.usefixtures("kinematic")
 def test_presets_have_ids() -> None:
     env = gymnasium.make("fishrl/quick", **SETTINGS)
     assert env.unwrapped.vector.flows.task == make_task("quick", **SMALL, time_limit=3)
@@ -51,14 +50,12 @@ def test_presets_have_ids() -> None:
         gymnasium.make("fishrl/gait_bent")
 
 
-@pytest.mark.usefixtures("kinematic")
 def test_environments_without_seed_draw_their_own() -> None:
     first, other = (gymnasium.make("fishrl/Predation-v0", **SETTINGS) for _ in range(2))
     assert not np.array_equal(first.reset()[0], other.reset()[0])
     assert np.array_equal(first.reset(seed=1)[0], other.reset(seed=1)[0])
 
 
-@pytest.mark.usefixtures("kinematic")
 def test_record_video_writes_film(tmp_path: Path) -> None:
     env = gymnasium.make("fishrl/Predation-v0", render_mode="rgb_array", **SETTINGS)
     films = RecordVideo(env, str(tmp_path), fps=4)
@@ -70,7 +67,6 @@ def test_record_video_writes_film(tmp_path: Path) -> None:
     assert film.stat().st_size > 1000
 
 
-@pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("control", [Turn(), CONTINUOUS], ids=["discrete", "continuous"])
 def test_several_fish_pass_pettingzoo_test(control: Turn) -> None:
     task = PredationPair(**SMALL, time_limit=3, control=control)
@@ -86,7 +82,6 @@ def test_several_fish_pass_pettingzoo_test(control: Turn) -> None:
         FlowParallelEnv(make_env(task=Predation(**SMALL), flows=Flows(num_envs=1, compile=False)))
 
 
-@pytest.mark.usefixtures("kinematic")
 def test_pair_is_rendered() -> None:
     flow = make_env(
         task=PredationPair(**SMALL, time_limit=3), flows=Flows(num_envs=1, compile=False)

@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from experiments.gait.diagnostics import BALANCE, combine_seeds, diagnose, find_phase, trace_work
-from experiments.gait.tables import write_free_stream, write_results
 from experiments.gait.trials import Histories
 from fishrl.programs.statistics import half_width
 
@@ -106,17 +105,3 @@ def test_interval_is_over_seeds() -> None:
     assert both["survival_T"] == pytest.approx(30.0)
     assert both["survival_error_T"] == pytest.approx(half_width([40.0, 20.0]))
     assert both["episodes"] == 2
-
-
-def test_tables_have_rows_per_policy_and_flow() -> None:
-    result = reduce(make_histories(lengths=[40, 23]))
-    table = write_results({"pid": [result, result], "passive": [result, result]}, (1.0, 1.5))
-    assert len(table.splitlines()) == 2 * 6 + 1
-    assert "| pid | 1.5 | 2 | 0 | 31.5 ±" in table
-    held = {"held": 1, "episodes": 2, "frequency": 4.0, "drift": 0.001}
-    flows = [held | dict(zip(BALANCE, (8.0, 9.0, 5.0, 1.0, 9.0), strict=True))]
-    free = write_free_stream({"flows": flows, "steps_per_T": 900, "mach": 0.17}, [result], (1,))
-    muscles, pushing = "2.000 | 8.00 | 4.0 | 75.0%", "3.000 | 9.00 | 3.0"
-    others = "-0.500 | 1.00 | 1.500 | 9.00 | 1.000 | 5.00 | 5.0"
-    assert f"| 1 | {muscles} | {pushing} | {others} |" in free
-    assert "| 1 | 4.00 | +0.0010 | 1 of 2 |" in free

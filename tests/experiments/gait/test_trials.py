@@ -100,13 +100,6 @@ def test_history_is_recorded_again_only_if_inputs_change(
         count(trial)
 
 
-@pytest.mark.parametrize("name", ["pid+pd", "shedding"])
-def test_impossible_baselines_are_refused(name: str) -> None:
-    free = make_task(stream=Stream(has_disc=False))
-    with pytest.raises(ValueError, match="baseline"):
-        make_trial(name, free, periods=BRIEF)
-
-
 def test_baselines_beat_at_their_frequency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rates = torch.tensor([0.001, 0.0012, 0.0014], dtype=torch.float64)
     task = make_task()

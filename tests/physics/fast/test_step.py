@@ -20,7 +20,7 @@ from torch._inductor import config as inductor_config
 from torch._inductor.graph import GraphLowering
 
 from fishrl.physics import Fish, FlowConfig, InPlaceSolver
-from fishrl.physics.boundaries import Boundaries, NoSlip, Side
+from fishrl.physics.boundaries import Boundaries
 from fishrl.physics.cache_key import make_key
 from fishrl.physics.collision import Rates
 from fishrl.physics.fast import compiled as compiled_module
@@ -36,9 +36,10 @@ from tests.physics.flows import make_tank
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Let Inductor store its code in a fresh folder."""
-    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
-    return tmp_path
+    """Let Inductor store its code in a fresh folder with a name of every kind of character."""
+    folder = tmp_path / "é#$&;(){}[]*?!~%@=,:|<>^+-"
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(folder))
+    return folder
 
 
 @pytest.mark.compile
@@ -63,34 +64,29 @@ def test_memory_per_node_and_flow_is_within_45_bytes() -> None:
     assert sum(storages.values()) / (1000 * 500) < 45.5
 
 
+def square(x: torch.Tensor) -> tuple[torch.Tensor]:
+    """Return the squares of matrices: for this Inductor writes no C++, so it compiles at once."""
+    return (torch.bmm(x, x),)
+
+
 @pytest.mark.compile
 def test_compiled_code_is_stored_by_vector_width_and_threads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder, traced = tmp_path / "é#$&;(){}[]*?!~%@=,:|<>^+-", []
-    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(folder))
+    traced, x = list[torch.Tensor](), 2 * torch.eye(3)[None]
 
-    def double(x: torch.Tensor) -> None:
+    def trace(x: torch.Tensor) -> tuple[torch.Tensor]:
         traced.append(x)
-        x.mul_(2.0)
+        return square(x)
 
-    x = torch.ones(64)
     for capability, num_threads in (("", 1), ("avx2", 1), ("default", 1), ("", 2)):
         monkeypatch.setenv("ATEN_CPU_CAPABILITY", capability)
         torch.set_num_threads(num_threads)  # one_thread sets it back
         for _ in range(2):
-            compiled = compile_inplace(double, (x,), name="double")
-            x.fill_(1.0)
-            compiled(x)
-            assert x.tolist() == [2.0] * 64
-        assert len(traced) == len(list(folder.glob("fishrl/*/*.bin")))
+            assert torch.equal(compile_inplace(trace, (x,), name="square")(x)[0], x @ x)
+        assert len(traced) == len(list(cache.glob("fishrl/*/*.bin")))
     assert len(traced) > 2  # "" is "avx2" on many machines
-    assert os.environ["TORCHINDUCTOR_CACHE_DIR"] == str(folder)
-
-
-def square(x: torch.Tensor) -> tuple[torch.Tensor]:
-    """Return the squares of matrices: for this Inductor writes no C++, so it compiles at once."""
-    return (torch.bmm(x, x),)
+    assert os.environ["TORCHINDUCTOR_CACHE_DIR"] == str(cache)
 
 
 @pytest.mark.compile
@@ -279,29 +275,6 @@ def test_flows_on_other_grids_share_all_code_but_the_collision() -> None:
         other.run(*eager)
         run(*shared)
         torch.testing.assert_close(shared, eager, rtol=0.0, atol=1e-7, msg=part.name)
-
-
-class Magnetic(NoSlip):
-    """An edge whose source the package does not hold."""
-
-
-def test_key_of_a_part_has_its_closure(monkeypatch: pytest.MonkeyPatch) -> None:
-    def find_key(*known: Any) -> str | None:
-        def inner() -> Any:
-            return known
-
-        def act(x: torch.Tensor) -> None:
-            x.add_(inner())
-
-        for function in (inner, act):
-            monkeypatch.setattr(function, "__module__", "fishrl.physics.toy")
-        return Part("toy", lambda memory, parity: (), act, {}).key
-
-    assert find_key(1.0, Side.TOP) == find_key(1.0, Side.TOP) is not None
-    assert len({find_key(1.0), find_key(1.0 + 1e-15), find_key(Side.TOP), find_key()}) == 4
-    for foreign in (square, torch.ones(1), object()):
-        assert find_key(foreign) is None, foreign
-    assert Part("toy", lambda memory, parity: (), square, {}).key is None
 
 
 OWN_EDGE = """

@@ -1,11 +1,19 @@
-"""Benchmarks of flows: batches, kernels, memory."""
+"""Benchmarks of flows, their steps, environments and training: what each measures."""
 
 import pytest
 import torch
 
+from experiments.benchmarks.environment import make_overhead, make_training
 from experiments.benchmarks.flows import make_case, make_kernel_case, make_solver
-from experiments.benchmarks.measuring import FISH, KERNEL
+from experiments.benchmarks.measuring import FISH, KERNEL, BenchmarkSettings
+from experiments.benchmarks.step_clock import time_parts
+from fishrl.envs import Flows, Predation
 from fishrl.physics import InPlaceSolver
+from fishrl.training.settings import LearningSettings
+from tests.envs.test_real_flow import TINY
+
+SETTINGS = BenchmarkSettings()
+TASK = Predation(**TINY | {"control_interval_T": 0.2, "checks_per_action": 5})  # few steps
 
 
 @pytest.fixture(scope="module")
@@ -44,3 +52,25 @@ def test_listed_calls_equal_two_steps_of_solver() -> None:
             part.run(*arguments[parity])
     twin.advance_(4)
     assert torch.equal(flow.populations(), twin.populations())
+
+
+def test_clock_tells_all_parts_of_a_step(solver: InPlaceSolver) -> None:
+    parts, whole = time_parts(solver, num_steps=20)
+    assert parts.keys() == {"collision", "exchange", "skin", "uncovering", "edges"}
+    assert whole.keys() == {"seconds"}
+
+
+def test_share_of_action_outside_flow_is_measured() -> None:
+    env, policy = make_overhead(SETTINGS, task=TASK, flows=Flows(num_envs=2, compile=False))
+    for case in (env, policy):
+        case.prepare()
+        assert 0.0 < case.advance(1)["outside_flow"] < 1.0
+
+
+def test_share_of_learning_is_measured() -> None:
+    learning = LearningSettings(
+        flows=Flows(num_envs=2, compile=False), batch_size=2, updates_per_frame=2.0
+    )
+    gradient, frame = make_training(SETTINGS, task=TASK, learning=learning)
+    assert gradient.advance(2) is None
+    assert 0.0 < frame.advance(1)["learning"] < 1.0
