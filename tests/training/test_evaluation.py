@@ -4,48 +4,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import torch
 
 from fishrl.envs import Flows
-from fishrl.envs.episodes import Episodes, Policy, run_episodes
-from fishrl.modules import PursuitPolicy, RandomPolicy
+from fishrl.envs.episodes import Episodes, run_episodes
+from fishrl.modules import RandomPolicy
 from fishrl.training.evaluation import fixed_starts
 from tests.training.toy_fish import ToyPredation, make_toy_env
 
 
-class Fixed:
-    """An env with its starts."""
-
-    def __init__(self, num_envs: int, num_starts: int, **task_arguments: float) -> None:
-        task = ToyPredation(**task_arguments)  # type: ignore[arg-type]
-        self.starts = fixed_starts(task, num_starts, seed=0)
-        self.env = make_toy_env(task=task, flows=Flows(num_envs=num_envs), seed=5)
-
-    def run(self, policy: Policy, **kwargs: Any) -> Episodes:
-        return run_episodes(self.env, policy, self.starts, **kwargs)
-
-
 def test_evaluation_repeats_even_on_an_env_that_was_used() -> None:
-    evaluator, ended = Fixed(5, 12), list[int]()
-    first = evaluator.run(RandomPolicy(seed=1), on_episodes=ended.append)
-    again = evaluator.run(RandomPolicy(seed=1))
-    other = evaluator.run(RandomPolicy(seed=2))
-    assert sum(ended) == 12
+    env, ended = make_toy_env(task=ToyPredation(), flows=Flows(num_envs=5), seed=5), list[int]()
+    drawn = [fixed_starts(ToyPredation(), 12, seed=seed) for seed in (0, 0, 1)]
+    first, again, other = (
+        run_episodes(env, RandomPolicy(seed=seed), starts, on_episodes=ended.append)
+        for seed, starts in zip((1, 1, 2), (drawn[0], drawn[1], drawn[0]), strict=True)
+    )
+    assert sum(ended) == 3 * 12
     assert torch.equal(first.returns, again.returns)
     assert not torch.equal(first.returns, other.returns)
-    env = evaluator.env  # it draws its own starts again
-    assert (env.reset()["start_index"] == -1).all()
-    starts = [fixed_starts(ToyPredation(), 6, seed=seed)["position"] for seed in (0, 0, 1)]
-    assert torch.equal(starts[0], starts[1]) and not torch.equal(starts[0], starts[2])
-
-
-def test_diverged_episodes_count_as_failures() -> None:
-    result = Fixed(4, 40, divergence_rate=0.2).run(PursuitPolicy())
-    metrics = result.metrics()
-    assert metrics["diverged"] == int(result.diverged.sum()) > 0
-    assert not (result.diverged & result.succeeded).any()
+    assert (env.reset()["start_index"] == -1).all()  # it draws its own starts again
+    assert not torch.equal(drawn[0]["position"], drawn[2]["position"])
 
 
 def test_metrics_average_over_starts_and_time_over_successes() -> None:

@@ -9,14 +9,13 @@ import os
 import signal
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
 import torch
 
-from fishrl.envs import Flows, Predation
+from fishrl.envs import Flows
 from fishrl.envs.episodes import Episodes
 from fishrl.settings import Role
 from fishrl.training import (
@@ -29,14 +28,11 @@ from fishrl.training import (
     open_run,
     resume,
 )
-from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.loop import Training
 from fishrl.training.metrics import list_metrics
 from fishrl.training.run_folder import RunFolder, read_summary
-from tests.envs.conftest import SMALL
-from tests.envs.kinematic_solver import KinematicSolver
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, read_rows
 from tests.training.stops import run_and_kill
 
@@ -87,37 +83,6 @@ def test_metrics_are_flushed_before_each_checkpoint(
 def test_another_seed_gives_other_metrics(toy: Toy, whole: Training) -> None:
     toy.begin(name="other", seed=1, **QUICK).run()
     assert toy.rows("other") != read_rows(whole.folder.path)
-
-
-@pytest.mark.usefixtures("kinematic")
-@pytest.mark.parametrize("algorithm", [DiscreteSAC(), DRQN()], ids=["sac", "drqn"])
-def test_diverging_flows_do_not_stop_a_run(
-    toy: Toy, monkeypatch: pytest.MonkeyPatch, algorithm: DiscreteSAC | DRQN
-) -> None:
-    advance, num_calls = KinematicSolver.advance_, [0]
-
-    def advance_and_break(self: KinematicSolver, *args: Any) -> None:
-        advance(self, *args)
-        num_calls[0] += 1
-        if num_calls[0] % 29 == 0:  # of training and evaluation alike
-            self.body.position[num_calls[0] % self.num_envs] = torch.nan
-
-    monkeypatch.setattr(KinematicSolver, "advance_", advance_and_break)
-    few = QUICK | {
-        "flows": Flows(num_envs=3),
-        "total_frames": 120,
-        "warmup_frames": 30,
-        "eval_frames": 60,
-    }
-    plan = make_toy_plan(toy.folder, algorithm=algorithm, **few)
-    training = Training(open_run(replace(plan, task=Predation(**SMALL))))
-    summary = training.run()
-    assert summary["train_diverged"] > 1
-    assert summary["frames"] == 120
-    remembered = training.learner.buffer[:]
-    assert len(remembered) == 120 - summary["train_diverged"]
-    assert all(value.isfinite().all() for value in remembered.values(True, True))
-    assert all(value.isfinite().all() for value in training.learner.loss.state_dict().values())
 
 
 def test_evaluations_do_not_change_what_is_learned(toy: Toy, whole: Training) -> None:
