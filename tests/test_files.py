@@ -1,7 +1,5 @@
 """Files of tensors are read only as they were written."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """An environment writes what only critics read, stacked by itself, and without it nothing."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torchrl.envs.utils import check_env_specs

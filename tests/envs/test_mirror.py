@@ -1,7 +1,5 @@
 """A mirrored flow in which mirrored actions are taken gives the mirrored observations."""
 
-from __future__ import annotations
-
 from math import pi
 
 import pytest

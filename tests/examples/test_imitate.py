@@ -1,7 +1,5 @@
 """Imitation of a trained policy, on kinematic fish."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

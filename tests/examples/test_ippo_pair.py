@@ -1,7 +1,5 @@
 """The example in the manner of TorchRL's multi-agent tutorial, on kinematic fish."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

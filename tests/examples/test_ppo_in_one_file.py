@@ -1,7 +1,5 @@
 """The example in the manner of CleanRL, on kinematic fish."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

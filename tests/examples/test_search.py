@@ -1,7 +1,5 @@
 """The search with Optuna, on kinematic fish."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Trainings of a gait with flow labels, evaluated and tried in every flow, on kinematic fish."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Comparison of policies in every stream, with kinematic fish."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

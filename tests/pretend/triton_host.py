@@ -6,8 +6,6 @@ environment before Triton is imported); blocks are larger than on a GPU, so that
 says of their registers. A process can do one of the two.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import sys

@@ -1,7 +1,5 @@
 """A trained policy in a changed task: settings of the task override those of its own run."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

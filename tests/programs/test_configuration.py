@@ -1,7 +1,5 @@
 """Command lines: what is composed of files and settings, and how mistakes are answered."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 Every task is trained by ``tests/smoke``.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 from pathlib import Path

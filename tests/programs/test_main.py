@@ -1,7 +1,5 @@
 """``fishrl`` itself: the list of programs, and tab completion as the shell asks for it."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Programs: their help, their errors, and the commands that they advise."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

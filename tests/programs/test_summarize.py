@@ -1,7 +1,5 @@
 """From run folders to tables and curves: groups, statistics, and which runs to repeat."""
 
-from __future__ import annotations
-
 import csv
 import errno
 import fcntl

@@ -1,7 +1,5 @@
 """A task and an algorithm of a user's own, in a folder of their own, on kinematic fish."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

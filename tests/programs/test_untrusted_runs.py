@@ -1,7 +1,5 @@
 """Run folders and checkpoints of others: no program makes or imports what only a file names."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from copy import deepcopy

@@ -1,7 +1,5 @@
 """The program that shows flows, and live views of trainings, on kinematic fish."""
 
-from __future__ import annotations
-
 import socket
 import subprocess
 import sys

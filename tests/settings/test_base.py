@@ -1,7 +1,5 @@
 """Settings check the type and the bounds of each field, and convert only what is harmless."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from math import nan

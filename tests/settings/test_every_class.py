@@ -1,7 +1,5 @@
 """Every settings class of fishrl refuses odd values in one line, and survives files and copies."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

@@ -1,7 +1,5 @@
 """Objects are written as plain data and made again; a file cannot name other code."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Trainings of the point fish, small enough for a second each."""
 
-from __future__ import annotations
-
 import csv
 import resource
 from collections.abc import Iterator, Sequence

@@ -4,8 +4,6 @@ Importing this file replaces the flow by kinematic fish, but not where the tests
 all that reads a run's settings imports it too.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Trainings that receive a signal, or are killed, in the middle of a step."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

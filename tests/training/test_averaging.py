@@ -1,7 +1,5 @@
 """The average of the weights acts, is saved and loaded; the newest weights explore."""
 
-from __future__ import annotations
-
 import copy
 
 import pytest

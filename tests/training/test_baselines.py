@@ -1,7 +1,5 @@
 """Baselines fit the tasks that they name."""
 
-from __future__ import annotations
-
 import pytest
 
 from fishrl.envs import KarmanGait, Predation

@@ -1,7 +1,5 @@
 """A checkpoint is whole or not there, of the right task, unchanged, and cannot run code."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Critics read what the task gives to them alone; policies neither need nor notice it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The evaluation of a policy repeats, and its metrics are means over the starts."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """An exported policy is a small checkpoint with a model card."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

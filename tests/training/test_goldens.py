@@ -1,7 +1,5 @@
 """The same seed gives the same learning curve as the version that wrote ``tests/goldens``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Signals: the first saves and ends a run, a second one ends it at once."""
 
-from __future__ import annotations
-
 import os
 import pty
 import signal

@@ -1,7 +1,5 @@
 """What is remembered, and that remembering does not grow."""
 
-from __future__ import annotations
-
 import gc
 from dataclasses import replace
 from typing import Any

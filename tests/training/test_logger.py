@@ -1,7 +1,5 @@
 """Where a run writes: its folder, its numbers, its bar."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

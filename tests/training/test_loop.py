@@ -1,7 +1,5 @@
 """The training loop on the point fish: what it writes, repeats and leaves out."""
 
-from __future__ import annotations
-
 import csv
 import json
 import logging
@@ -9,6 +7,7 @@ import os
 import signal
 from collections.abc import Mapping
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 

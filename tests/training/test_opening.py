@@ -1,7 +1,5 @@
 """A run is checked before anything slow: no compile, no wakes, no folder."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Policies are loaded for the task they were trained for, and evaluated as at the end of a run."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Half of the replayed transitions are reflected, whole and consistently."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Rollouts give the advantages of generalised advantage estimation, flow by flow."""
 
-from __future__ import annotations
-
 import torch
 
 from fishrl.training.algorithms.ppo import PPO

@@ -1,7 +1,5 @@
 """Runs begin, end, are killed, and resume exactly."""
 
-from __future__ import annotations
-
 import signal
 from dataclasses import replace
 from pathlib import Path

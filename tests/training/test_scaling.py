@@ -1,7 +1,5 @@
 """Networks learn on inputs of unit scale; saved policies read the observations themselves."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase

@@ -1,7 +1,5 @@
 """Several fish in each flow learn one policy in the loop of all other tasks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

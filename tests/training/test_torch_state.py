@@ -1,7 +1,5 @@
 """What a caller sets globally in torch changes no flow, and no training fails for it."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager

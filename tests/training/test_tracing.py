@@ -1,7 +1,5 @@
 """A traced gradient step is the gradient step."""
 
-from __future__ import annotations
-
 import copy
 
 import pytest

@@ -4,8 +4,6 @@ It swims straight at 0.4 body lengths per decision, turns on the spot spread ove
 hunts food that moves up and down. Walls at the sides of a 10 x 5 body-length basin end an episode.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Trials: fixed starts in every flow, and cached histories."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

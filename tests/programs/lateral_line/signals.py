@@ -1,7 +1,5 @@
 """Small tasks and synthetic episodes for tests of lateral-line classifiers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Collection of labelled signals: what is recorded, and what is kept."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Lateral-line classifiers: from episodes to windows, what is learned, and what is written."""
 
-from __future__ import annotations
-
 import json
 from math import pi
 from pathlib import Path

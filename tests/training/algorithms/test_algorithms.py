@@ -1,7 +1,5 @@
 """Algorithms refuse tasks and settings that do not fit them."""
 
-from __future__ import annotations
-
 import pytest
 
 from fishrl.training import Algorithm, DiscreteSAC

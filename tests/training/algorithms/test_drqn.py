@@ -1,7 +1,5 @@
 """DRQN learns from sequences of single episodes, with a memory of its own in each."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import torch
