@@ -16,10 +16,13 @@ from fishrl.training.policy_spec import PolicySpec
 from tests.training.conftest import QUICK, Toy
 
 
-def test_state_without_legal_action_is_refused(toy: Toy) -> None:
+def test_diverged_transitions_are_not_stored_and_illegal_states_refused(toy: Toy) -> None:
     training = toy.begin()
     batch = next(iter(training.collector)).reshape(-1)
-    batch["next", "action_mask"][3] = False
+    batch["next", "diverged"][3] = True
+    assert training.learner.store(batch) == 1
+    assert len(training.learner.buffer) == 8 - 1
+    batch["next", "action_mask"][4] = False
     with pytest.raises(ValueError, match="a state has no legal action"):
         training.learner.store(batch)
 

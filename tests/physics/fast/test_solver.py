@@ -150,9 +150,8 @@ def test_changing_stream_equals_the_readable_step_and_resumes() -> None:
     solver, other = (make_solver(config, flows_per_launch=3) for _ in range(2))
     state, params = advance(read_state(solver), config, 60), make_params([config] * 3)
     speed = torch.tensor([0.05, 0.06, 0.02], dtype=torch.float64)
-    for each in (solver, other):
-        each.advance_(60)
-        each.set_stream_speed_(speed, torch.tensor([True, False, True]), num_steps=40)
+    solver.advance_(60)
+    solver.set_stream_speed_(speed, torch.tensor([True, False, True]), num_steps=40)
     solver.advance_(20)
     with pytest.raises(ValueError, match=r"imposes 0\.480 nodes per step"):
         solver.set_stream_speed_(8.0 * speed)

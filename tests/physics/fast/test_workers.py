@@ -13,11 +13,13 @@ import torch
 
 from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
 from fishrl.physics.bodies.motion import Fixed
+from fishrl.physics.cases import PERIODIC
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.fast import execution as execution_module
 from fishrl.physics.fast import workers as workers_module
 
-CONFIG = FlowConfig(width=32, height=24, tau=0.6)
+#: Without walls it has the fewest parts to compile.
+CONFIG = FlowConfig(width=32, height=24, tau=0.6, boundaries=PERIODIC)
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="it reads /proc")
 
 #: What a user of flows does: wait for the step to be ready, then take one step after the other.
