@@ -84,10 +84,7 @@ def make_overhead(
 
 
 def make_training(
-    settings: BenchmarkSettings,
-    *,
-    task: Any = None,
-    learning: LearningSettings | None = None,
+    settings: BenchmarkSettings, *, task: Any = None, learning: LearningSettings | None = None
 ) -> list[Benchmark]:
     """Return benchmarks of a gradient step, and of a frame with its gradient steps."""
     task, learning = task or make_task(settings), learning or LearningSettings(flows=FLOWS)

@@ -19,11 +19,7 @@ from fishrl.physics.cases import PERIODIC, make_swimmer_config
 
 
 def make_solver(
-    body_length: int,
-    *,
-    has_fish: bool,
-    boundaries: Boundaries | None = None,
-    **options: Any,
+    body_length: int, *, has_fish: bool, boundaries: Boundaries | None = None, **options: Any
 ) -> InPlaceSolver:
     """Return compiled flows in the paper's tank, 10 L x 5 L, with a swimming fish in each or none.
 

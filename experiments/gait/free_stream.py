@@ -44,11 +44,7 @@ def make_free_trial(task: KarmanGait, *, periods: float) -> Trial:
     )
     dt = free.interval_T  # sum and change are per decision
     controller = PID(
-        frequency=FREQUENCY,
-        gain=3.0,
-        integral_gain=0.15 * dt,
-        damping=4.0 / dt,
-        max_sum=20.0 / dt,
+        frequency=FREQUENCY, gain=3.0, integral_gain=0.15 * dt, damping=4.0 / dt, max_sum=20.0 / dt
     )
     return Trial(
         name="free-stream",

@@ -181,12 +181,7 @@ def list_shedding(task: KarmanGait) -> list[float]:
 
 
 def run_trial(
-    trial: Trial,
-    *,
-    episodes: int,
-    folder: Path,
-    flows: Flows,
-    progress: Callback = SILENT,
+    trial: Trial, *, episodes: int, folder: Path, flows: Flows, progress: Callback = SILENT
 ) -> list[Histories]:
     """Run ``episodes`` from fixed starts in each flow, or read them from the folder if it can."""
     task, num_streams = trial.task, len(trial.task.stream.speeds_bl)
@@ -211,11 +206,7 @@ def run_trial(
 
 
 def record(
-    trial: Trial,
-    starts: TensorDictBase,
-    *,
-    flows: Flows,
-    progress: Callback = SILENT,
+    trial: Trial, starts: TensorDictBase, *, flows: Flows, progress: Callback = SILENT
 ) -> Histories:
     """Run one episode from each start ``[E]``, all side by side."""
     task = trial.task

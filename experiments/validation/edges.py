@@ -51,12 +51,7 @@ def shed_between(*, edges: str, far: str = "") -> Result:
     )
     window = (ahead, ahead + WIDTH_D, 0.5 * wider, 0.5 * wider + HEIGHT_D)
     result = wake.measure_wake(
-        solver,
-        diameter=d,
-        speed=SPEED,
-        travels=TRAVELS,
-        window=window,
-        is_shedding=True,
+        solver, diameter=d, speed=SPEED, travels=TRAVELS, window=window, is_shedding=True
     )
     size = diagnostics.compute_vorticity(solver.macroscopic()[1])[0].abs().double()
     middle = height // 2

@@ -54,7 +54,7 @@ NOTES = {
     (20, "wake_length"): (
         "the wake is only 15 to 30 nodes long, and markers 0.45 nodes inside the outline place "
         "its surface to about a tenth of a node, about the size of the deviation."
-    ),
+    )
 }
 VIEW_D = (-3.0, 15.0, -4.0, 4.0)  # left, right, low, high
 

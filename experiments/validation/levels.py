@@ -199,11 +199,5 @@ def draw(figure: Figure, runs: Runs) -> None:
 
 
 CASE = Case(
-    "levels",
-    __doc__,
-    "the finest grid everywhere",
-    list(list_jobs()),
-    judge,
-    draw,
-    size=(8.0, 3.4),
+    "levels", __doc__, "the finest grid everywhere", list(list_jobs()), judge, draw, size=(8.0, 3.4)
 )

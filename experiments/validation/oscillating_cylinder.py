@@ -27,10 +27,7 @@ from fishrl.settings import build
 
 KC = 5.0  # U T / D
 REYNOLDS = 100.0  # U D / nu
-COEFFICIENTS = {
-    "c_d": ("drag coefficient c_d", 2.10),
-    "c_i": ("added-mass coefficient c_i", 1.45),
-}
+COEFFICIENTS = {"c_d": ("drag coefficient c_d", 2.10), "c_i": ("added-mass coefficient c_i", 1.45)}
 TOLERANCE = 0.04
 SPEED = 0.05
 NUM_PERIODS = 5

@@ -57,11 +57,7 @@ def _make_round_pulse(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return rho, 0.0 * rho, 0.0 * rho
 
 
-KINDS = {
-    "vortex": _make_vortex,
-    "plane pulse": _make_plane_pulse,
-    "round pulse": _make_round_pulse,
-}
+KINDS = {"vortex": _make_vortex, "plane pulse": _make_plane_pulse, "round pulse": _make_round_pulse}
 
 
 def disturb_outflow(*, outflow: str, kind: str) -> Result:
@@ -122,11 +118,7 @@ def _start(boundary: Boundary, sponge: int, kind: str, width: int) -> InPlaceSol
 
 
 JOBS = [
-    Job(
-        disturb_outflow,
-        {"outflow": outflow, "kind": kind},
-        cost=1e8 if kind == "vortex" else 3e7,
-    )
+    Job(disturb_outflow, {"outflow": outflow, "kind": kind}, cost=1e8 if kind == "vortex" else 3e7)
     for kind in KINDS
     for outflow in OUTFLOWS
 ]

@@ -41,12 +41,7 @@ NOTE = (
 
 
 def swim(
-    *,
-    lag: float = 0.0,
-    gap: float = 0.0,
-    aside: float = 0.0,
-    has_pair: bool = True,
-    length: int,
+    *, lag: float = 0.0, gap: float = 0.0, aside: float = 0.0, has_pair: bool = True, length: int
 ) -> Result:
     """Let a foil swim, or a pair with the second ``lag`` periods later.
 

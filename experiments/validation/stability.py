@@ -48,12 +48,7 @@ MARKS = {RAN: ("#009E73", "o"), DIVERGED: ("#D55E00", "X"), REFUSED: ("#999999",
 
 
 def turn_at_random(
-    *,
-    body_length: int,
-    max_wall_speed: float,
-    energy: float,
-    flux: float,
-    num_episodes: int,
+    *, body_length: int, max_wall_speed: float, energy: float, flux: float, num_episodes: int
 ) -> Result:
     """Let fish turn at random; return the number that diverged, and the largest speed seen."""
     scales = Scales.from_budget(

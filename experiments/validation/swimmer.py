@@ -69,10 +69,7 @@ def swim(
     beat; the largest ``slip`` at the end of a beat and the ``tail_speed`` (L / T).
     """
     scales = Scales.from_budget(
-        body_length=body_length,
-        reynolds=reynolds,
-        max_wall_speed=max_wall_speed,
-        gait=GAITS[gait],
+        body_length=body_length, reynolds=reynolds, max_wall_speed=max_wall_speed, gait=GAITS[gait]
     )
     fish = Fish(
         body_length=body_length,
