@@ -51,7 +51,11 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/modules/", TENSORS | {"torchrl", "fishrl.modules"}),
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
     ("fishrl/training/", TENSORS | {"torchrl", "tqdm", "yaml", "psutil", "wandb", "ray", "fishrl"}),
-    ("fishrl/zoo/", TENSORS | {"fishrl"}),
+    ("fishrl/zoo/", TENSORS | {"huggingface_hub", "fishrl"}),
+    (
+        "fishrl/benchmark/",
+        TENSORS | {"fishrl.benchmark", "fishrl.envs", "fishrl.training"},
+    ),
     ("fishrl/__main__.py", {"fishrl.programs"}),
     ("fishrl/programs/", PROGRAMS),
     (
@@ -69,7 +73,7 @@ IMPORTERS: tuple[tuple[set[str], tuple[str, ...]], ...] = (
     ({"fcntl"}, ("fishrl/locks.py",)),
     (
         WRAPPED - {"torchrl"} | {"sb3_contrib", "fishrl.wrappers"},
-        ("fishrl/wrappers/", "fishrl/programs/export_data.py"),
+        ("fishrl/wrappers/", "fishrl/programs/export_data.py", "fishrl/programs/score.py"),
     ),
 )
 

@@ -269,8 +269,7 @@ def describe_lateral_line(
         unit, limit = "ρ (L/T)²", speed**2
     else:
         unit, limit = _FEATURES.get(feature, ("L/T", 1.5 * speed))
-    pairs = [f"{side} {k}" for k in range(1, line.num_neuromasts // 2 + 1) for side in _SIDES]
-    names = ["nose"] * (line.num_neuromasts % 2) + pairs  # in the order of LateralLine.place
+    names = name_neuromasts(line.num_neuromasts)
     marks = Marks(
         key="neuromasts",
         radius=2.0 * body_length / 50.0,
@@ -281,6 +280,12 @@ def describe_lateral_line(
     )
     series = _plot_columns("signal", names)
     return marks, Panel(name=f"{feature} at neuromasts [{unit}]", series=series)
+
+
+def name_neuromasts(num: int) -> list[str]:
+    """Return the names of P neuromasts, "nose", "right 1" etc., as ``LateralLine`` orders them."""
+    pairs = [f"{side} {k}" for k in range(1, num // 2 + 1) for side in _SIDES]
+    return ["nose"] * (num % 2) + pairs
 
 
 def describe_flow_label(names: Sequence[str]) -> Panel:

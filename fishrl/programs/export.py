@@ -3,10 +3,12 @@
 ``policy=runs/<name> save=flow.nc`` simulates one episode and writes velocity, pressure and
 vorticity over time, and the outlines of all bodies, in body lengths L and tail-beat periods T.
 The ending of ``save`` says how: ``.nc`` NetCDF and ``.zarr`` Zarr, both read by xarray, ``.pvd``
-VTK files for ParaView. Needs the extra ``export``.
+VTK files for ParaView; these need the extra ``export``. ``.csv`` is a table of what the fish did
+and felt, ``fishrl.viewer.signals.read_signals``, for a spreadsheet.
 """
 
 import json
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from itertools import count, pairwise
@@ -19,6 +21,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl import __version__
+from fishrl.envs import AbstractTask, FlowEnv
 from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.extras import show_install
 from fishrl.programs.export_policy import read_revision
@@ -31,17 +34,27 @@ from fishrl.training.policies import prepare
 from fishrl.training.progress import Progress
 from fishrl.viewer import check_folder
 from fishrl.viewer.fields import WRITERS, make_dataset, read_fields
+from fishrl.viewer.signals import read_signals, write_table
 
 if TYPE_CHECKING:
     import xarray as xr
 
 
-def simulate(
-    *, periods: float | None, frames_per_T: int, callback: Callback = SILENT, **given: Any
-) -> "xr.Dataset":
-    """Run one episode and return its fields ``(time, y, x)`` and outlines ``(time, marker)``.
+TABLE = ".csv"
+
+
+def record(
+    read: Callable[[FlowEnv], dict[str, Tensor]],
+    *,
+    periods: float | None,
+    frames_per_T: int,
+    callback: Callback = SILENT,
+    **given: Any,
+) -> tuple[dict[str, Tensor], AbstractTask]:
+    """Run one episode and return the series ``[F, ...]`` of what is read, and the task.
 
     Args:
+        read: returns values ``[B, ...]`` by name.
         periods: T after which the episode is cut; None runs it to its end.
         frames_per_T: frames per period, approximately.
         callback: called as it advances.
@@ -55,12 +68,12 @@ def simulate(
     written = (floor(check * share + 1e-9) for check in count(0))
     is_due = (before < now for before, now in pairwise(written))
 
-    def read(start_of: Tensor, what: object) -> dict[str, Tensor]:
-        return read_fields(env.base_env.solver, task.scales)
+    def begin(start_of: Tensor, what: object) -> dict[str, Tensor]:
+        return read(env.base_env)
 
     def end(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
         callback.on_progress(1)
-        return read(start_of, step) if step["next", "done"].all() else {}
+        return read(env.base_env) if step["next", "done"].all() else {}
 
     with closing(env):
         callback.on_phase("episode", total=max_decisions)
@@ -69,14 +82,23 @@ def simulate(
             policy,
             fixed_starts(task, 1, seed=seed),
             max_decisions=max_decisions,
-            on_begin=read,
+            on_begin=begin,
             on_step=end,
-            on_frame=lambda start_of, flows: read(start_of, flows) if next(is_due) else {},
+            on_frame=lambda start_of, flows: read(flows) if next(is_due) else {},
         )
-    name = Path(given["policy"]).name
+    return episodes.traces.of(0), task
+
+
+def simulate(**given: Any) -> "xr.Dataset":
+    """Run one episode and return its fields ``(time, y, x)`` and outlines ``(time, marker)``.
+
+    Arguments are those of ``record``.
+    """
+    series, task = record(lambda env: read_fields(env.solver, env.task.scales), **given)
+    name, seed = Path(given["policy"]).name, given["seed"]
     commit = read_revision() or "unknown"
     return make_dataset(
-        episodes.traces.of(0),
+        series,
         body_length=task.scales.body_length,
         about={  # names of the CF conventions, where there are any
             "title": f"{type(task).__name__}, policy {name}, seed {seed}",
@@ -96,16 +118,16 @@ def simulate(
 @policy_program(without=("callbacks", "episodes"))
 def main(
     *,
-    save: Annotated[str, ending_in(*WRITERS)],
+    save: Annotated[str, ending_in(*WRITERS, TABLE)],
     periods: PositiveFloat | None = 5.0,
     frames_per_T: PositiveInt = 8,
     preset: str | None = None,
     **given: Any,
 ) -> None:
-    """Simulate an episode and write its fields.
+    """Simulate an episode and write its fields, or its table.
 
     Args:
-        save: file or folder to write, ending in ``.nc``, ``.zarr`` or ``.pvd``.
+        save: file or folder to write, ending in ``.nc``, ``.zarr``, ``.pvd`` or ``.csv``.
         periods: T after which the episode is cut; ``null`` runs it to its end.
         frames_per_T: frames per period, approximately.
         preset: name of a preset; only its task is used.
@@ -113,12 +135,19 @@ def main(
     """
     path = Path(save).expanduser()
     check_folder(path)
+    given |= {"periods": periods, "frames_per_T": frames_per_T}
+    if path.suffix == TABLE:
+        with Progress() as progress:
+            columns, _ = record(read_signals, callback=progress, **given)
+        write_table(columns, path)
+        print(f"written to {path}: {len(columns)} columns")
+        return
     try:
         import pyvista  # noqa: F401
         import xarray  # noqa: F401
     except ImportError as error:
         raise ImportError(f"exports need packages: {show_install('export')}") from error
     with Progress() as progress:
-        flow = simulate(periods=periods, frames_per_T=frames_per_T, callback=progress, **given)
+        flow = simulate(callback=progress, **given)
     WRITERS[path.suffix](flow, path)
     print(f"written to {path}: {flow.sizes['time']} moments, {flow.nbytes / 1e6:.0f} MB in memory")

@@ -28,7 +28,8 @@ def load_plan(checkpoint: str | Path) -> Plan:
     """Return the settings of a run: its task and recognition, for ``make_env``, and all others.
 
     Args:
-        checkpoint: run folder, checkpoint, or ``zoo/<name>`` for a policy of ``fishrl.zoo``.
+        checkpoint: run folder, checkpoint, ``zoo/<name>`` for a policy of ``fishrl.zoo``, or
+            ``hub:<owner>/<name>`` for one that ``fishrl export-policy`` has uploaded.
 
     Errors are those of ``Plan.from_config`` and ``Checkpoint.find``.
     """
@@ -49,7 +50,7 @@ def load_policy(
     ``ExplorationType.DETERMINISTIC``, as in evaluations, it takes the most probable ones.
 
     Args:
-        checkpoint: run folder, checkpoint, or ``zoo/<name>`` for a policy of ``fishrl.zoo``.
+        checkpoint: as in ``load_plan``.
         task: the task to act in; by default the task of its run.
         has_labels: whether transforms label the flows of the task; by default as in its run.
         device: device of the policy.
@@ -68,7 +69,7 @@ def load_policy(
 
 
 def is_learned(policy: object) -> bool:
-    """Return whether a policy is learned, which is named by a path or ``zoo/<name>``."""
+    """Return whether a policy is learned: named by a path, ``zoo/<name>``, ``hub:...``."""
     return isinstance(policy, Path) or (isinstance(policy, str) and "/" in policy)
 
 

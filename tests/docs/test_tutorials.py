@@ -33,7 +33,8 @@ WRITTEN = {
     "algorithms.md": ["runs"],
     "tutorials/cylinder.md": ["cylinder.png", "two_cylinders.png"],
     "tutorials/fish_in_a_stream.md": ["fish_in_a_stream.png"],
-    "gymnasium.md": ["films", "fish.zip"],
+    "benchmark.md": ["fish.zip"],
+    "gymnasium.md": ["films"],
     "tutorials/lateral_line.md": ["classifier.pt"],
 }
 

@@ -39,6 +39,8 @@ MORE = {
     # continuous actions
     "follower": ["algorithm=sac"],
     "follower_small": ["algorithm=sac"],
+    "follower-v0": ["algorithm=sac"],
+    "follower-quick-v0": ["algorithm=sac"],
     "karman_gait_continuous": ["algorithm=sac"],
     "predation_continuous": ["algorithm=sac"],
 }

@@ -1,5 +1,6 @@
 """Flows and transitions written for other tools are read back by those tools; uploads fail well."""
 
+import csv
 import json
 import socket
 from pathlib import Path
@@ -8,6 +9,7 @@ import minari
 import numpy as np
 import pytest
 import pyvista as pv
+import torch
 import xarray as xr
 from matplotlib.path import Path as Polygon
 from torchrl.data.datasets.minari_data import MinariExperienceReplay
@@ -15,6 +17,7 @@ from torchrl.data.datasets.minari_data import MinariExperienceReplay
 from fishrl.programs import export, export_data
 from fishrl.programs.export_policy import send
 from fishrl.viewer.fields import write_netcdf, write_vtk, write_zarr
+from fishrl.viewer.signals import write_table
 from fishrl.zoo import find_policy
 
 TINY = [
@@ -75,6 +78,26 @@ def test_xarray_reads_netcdf_and_zarr(flow: xr.Dataset, tmp_path: Path) -> None:
         assert read.attrs["steps_per_T"] > 1 and "pursuit" in read.attrs["title"]
         assert (read.attrs["policy"], read.attrs["seed"]) == ("pursuit", 0)
         assert read.attrs["commit"] in read.attrs["source"]
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_table_has_a_line_per_moment_and_columns_of_each_neuromast(tmp_path: Path) -> None:
+    path = tmp_path / "signals.csv"
+    words = ["policy=pid", "task=station-line-quick-v0", "periods=1", "frames_per_T=4"]
+    export.main.run(export.main.read([*words, "flows.compile=false", f"save={path}"]))
+    with path.open(encoding="utf-8") as file:
+        lines = [{k: float(v) for k, v in line.items()} for line in csv.DictReader(file)]
+    times = [line["time_T"] for line in lines]
+    assert times == sorted(set(times)) and len(times) >= 5 and times[0] == 0.0
+    names = ["nose", "right_1", "left_1", "right_2", "left_2"]
+    parts = ("x_bl", "y_bl", "ahead", "left", "pressure")
+    own = {"time_T", "x_bl", "y_bl", "heading_degrees", "bend", "frequency"}
+    assert lines[0].keys() == own | {f"{name}_{part}" for name in names for part in parts}
+    for line in lines:
+        assert abs(line["nose_x_bl"] - line["x_bl"]) < 0.15  # two nodes from the skin, of 20
+        assert abs(sum(line[f"{name}_pressure"] for name in names)) < 1e-4  # deviations
+    write_table({"time_T": torch.tensor([0.0, 0.5, 0.5])}, path)
+    assert path.read_text() == "time_T\n0\n0.5\n"
 
 
 def test_vtk_reads_the_flow_and_the_bodies(flow: xr.Dataset, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from fishrl.__main__ import list_programs
+from fishrl.benchmark import list_versions
 from fishrl.programs.train_settings import TRAINING
 from tests.docs.test_tutorials import BRIEF, CHANNEL
 from tests.envs.conftest import SMALL, move_kinematically
@@ -106,7 +107,7 @@ def test_every_program_has_a_smoke_test() -> None:
     assert not missing, f"no smoke test runs {sorted(missing)}"
 
 
-@pytest.mark.parametrize("task", [name for name in GROUPS["task"] if name != "predation"])
+@pytest.mark.parametrize("task", sorted({*GROUPS["task"]} - {"predation", *list_versions()}))
 def test_each_task_trains(task: str, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if task not in REAL:
         move_kinematically(monkeypatch)
@@ -152,6 +153,13 @@ def test_each_baseline_is_evaluated(task: str, policy: str) -> None:
     if task == "predation":  # pursuers decide once per T
         chosen += ["task.control_interval_T=1", "task.checks_per_action=25"]
     _run("evaluate", *chosen, "episodes=2", "flows.num_envs=2", *EAGER)
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_policy_is_scored(tmp_path: Path) -> None:
+    chosen = ["policy=pursuit", "task=predation-quick-v0", "split=validation"]
+    _run("score", *chosen, *EAGER, "flows.num_envs=32", f"save={tmp_path / 'row.json'}")
+    assert (tmp_path / "row.json").is_file()
 
 
 @pytest.mark.xdist_group("predation_run")

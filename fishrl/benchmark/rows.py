@@ -1,0 +1,99 @@
+"""Rows of the table: what ``fishrl score`` writes, one JSON per policy, and their order."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from fishrl.benchmark.versions import FOLDER, find_version
+from fishrl.training.run_folder import Count, Stored, read_plain
+
+RANDOM = "random"
+
+
+class Row(Stored):
+    """The result of a policy in a split of a version."""
+
+    policy: str  #: its name in the table
+    kind: str  #: what it was scored from: baseline, run, archive or function
+    task: str
+    split: str
+    settings: str  #: checksums of the version
+    starts: str
+    measure: str
+    value: float  #: of the measure, the mean over the starts
+    low: float  #: ends of its 95 % interval over the starts
+    high: float
+    metrics: dict[str, float | int | None]  #: all numbers of the evaluation
+    num_stacked: Count
+    recognition: str | None  #: class of the source of flow labels
+    differs: list[str] | None  #: settings of its training that differ; None where unknown
+    trained_decisions: Count | None  #: None where unknown
+    scored_decisions: Count
+    cpu_seconds: float  #: of the scoring
+    commit: str | None
+    versions: dict[str, str]
+
+
+def read_row(path: Path) -> Row:
+    """Read a row and compare it with its version.
+
+    Raises:
+        ValueError: if the file is damaged or belongs to other settings or starts.
+    """
+    row: Row = read_plain(path, Row, what="a result of fishrl score")
+    version = find_version(row.task)
+    wanted = (version.settings, version.starts.get(row.split), version.measure)
+    if (row.settings, row.starts, row.measure) != wanted:
+        raise ValueError(f"{path}: is not of {row.task} as it is frozen here; score it again")
+    return row
+
+
+def list_rows(task: str, split: str) -> list[Row]:
+    """Return the stored rows of a split."""
+    rows = [read_row(path) for path in sorted((FOLDER / "scores" / task).glob("*.json"))]
+    return [row for row in rows if row.split == split]
+
+
+def find_ends(rows: Sequence[Row]) -> tuple[float, float] | None:
+    """Return the values that score 0 and 1, of random actions and the version's controller.
+
+    None where one is not stored, or the controller is not well above random actions: where their
+    95 % intervals overlap.
+    """
+    by_name = {row.policy: row for row in rows if row.kind == "baseline"}
+    low, high = by_name.get(RANDOM), by_name.get(find_version(rows[0].task).controller)
+    if low is None or high is None or low.high >= high.low:
+        return None
+    return low.value, high.value
+
+
+def rank(rows: Sequence[Row]) -> list[tuple[Row, tuple[float, float, float] | None]]:
+    """Return rows from the best to the worst, each with its score and the score's interval.
+
+    The interval is that of the row's value; the two ends of the scale count as exact.
+    """
+    ends = find_ends(rows) if rows else None
+
+    def scale(row: Row) -> tuple[float, float, float] | None:
+        if ends is None:
+            return None
+        low, high = ends
+        one, two, three = ((x - low) / (high - low) for x in (row.value, row.low, row.high))
+        return one, two, three
+
+    return [(row, scale(row)) for row in sorted(rows, key=lambda row: -row.value)]
+
+
+def show_table(rows: Sequence[Row], *, mark: Row | None = None) -> list[str]:
+    """Return the lines of the table; ``mark`` is pointed at."""
+    lines = [f"  {'policy':<28}{'value [95 %]':<26}{'score [95 %]':<24}decisions"]
+    for row, score in rank(rows):
+        value = _show(row.value, row.low, row.high)
+        trained = "–" if row.trained_decisions is None else f"{row.trained_decisions:,}"
+        start = "> " if row is mark else "  "
+        line = f"{row.policy:<28}{value:<26}{_show(*score) if score else '–':<24}{trained}"
+        lines.append(start + line)
+    return lines
+
+
+def _show(value: float, low: float, high: float) -> str:
+    return f"{value:.3g} [{low:.3g}, {high:.3g}]"

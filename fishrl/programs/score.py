@@ -1,0 +1,219 @@
+"""Score a policy on a frozen task: ``fishrl score policy=runs/<name> task=station-v0``.
+
+``policy`` is a run folder, a checkpoint, ``zoo/<name>``, a baseline of the task, an archive of
+Stable-Baselines3, ``fish.zip``, or a function of a module on PYTHONPATH, ``module:function``. It
+gets a TensorDict with ``observation_stack`` ``[B, n]``, ``is_init`` ``[B, 1]`` and, for discrete
+actions, ``action_mask`` ``[B, num_actions]``, and adds ``action`` ``[B]``, or ``[B, num_actions]``
+in [-1, 1]. The policy acts from each held-out start once; its row is shown in the task's table.
+"""
+
+import platform
+import re
+import time
+from contextlib import closing
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import tensordict
+import torch
+import torchrl
+from pydantic import NonNegativeInt
+from tensordict import TensorDictBase
+
+from fishrl import __version__
+from fishrl.benchmark import (
+    Row,
+    Version,
+    compare,
+    find_version,
+    identify,
+    list_rows,
+    rank,
+    show_table,
+)
+from fishrl.envs import AbstractTask, Flows
+from fishrl.envs.episodes import Episodes, Policy, run_episodes
+from fishrl.programs.export_policy import read_revision
+from fishrl.programs.program import program
+from fishrl.programs.statistics import Interval, find_mean, find_share
+from fishrl.training.callback import SILENT, Callback
+from fishrl.training.checkpoint import Checkpoint
+from fishrl.training.policies import is_learned, load_plan, prepare
+from fishrl.training.progress import Progress
+from fishrl.training.run_folder import write_json
+from fishrl.viewer import check_folder
+from fishrl.wrappers.archives import load_archive
+
+FUNCTION = re.compile(r"[\w.]+:\w+")
+#: What a policy from elsewhere is told, and no more.
+SEEN = ("observation_stack", "action_mask", "is_init")
+
+
+class Scored(NamedTuple):
+    """A policy to score, and what is known of it."""
+
+    kind: str
+    act: str | Policy
+    num_stacked: int | None = None  #: observations that it needs; None for those of the task
+    decisions: int | None = None  #: of its training
+    recognition: str | None = None  #: class of the source of flow labels
+    differs: list[str] | None = None  #: settings of its training that differ
+
+
+def find_policy(policy: str, version: Version, *, trust: bool) -> Scored:
+    """Find what a word stands for.
+
+    Raises:
+        ValueError: for what cannot be found, and for an archive that is not trusted.
+        ImportError: if the module of a function cannot be imported.
+    """
+    task = version.task
+    if policy.endswith(".zip"):
+        if not trust:
+            raise ValueError(
+                f"{policy}: loading an archive of Stable-Baselines3 unpickles it, which runs any "
+                "code that its author put there: give trust=true if you trust it"
+            )
+        archive = load_archive(Path(policy).expanduser())
+        num, rest = divmod(archive.num_inputs, task.n_obs)
+        if rest or not num:
+            raise ValueError(
+                f"{policy}: observes {archive.num_inputs} numbers; in {version.name} a multiple of "
+                f"{task.n_obs}"
+            )
+        return Scored("archive", _show_only(archive), num, archive.decisions)
+    if FUNCTION.fullmatch(policy):
+        module, _, name = policy.partition(":")
+        try:
+            found = getattr(import_module(module), name, None)
+        except ImportError as error:
+            raise ImportError(f"{policy}: {error} (is its folder on PYTHONPATH?)") from error
+        if not callable(found):
+            raise ValueError(f"{policy}: module {module} has no function {name!r}")
+        return Scored("function", _show_only(found))
+    if not is_learned(policy):
+        return Scored("baseline", policy, decisions=0)
+    plan = load_plan(policy)
+    return Scored(
+        "run",
+        policy,
+        plan.task.num_stacked,
+        Checkpoint.find(policy).frames,
+        None if plan.recognition is None else type(plan.recognition).__name__,
+        compare(plan.task, task),
+    )
+
+
+def _show_only(act: Policy) -> Policy:
+    """Return a policy that is told what ``SEEN`` names."""
+
+    def decide(state: TensorDictBase) -> TensorDictBase:
+        told = act(state.select(*SEEN, strict=False))
+        return state.set("action", told["action"])
+
+    return decide
+
+
+def score(
+    policy: str,
+    *,
+    task: AbstractTask,
+    split: str = "test",
+    name: str | None = None,
+    trust: bool = False,
+    trained: NonNegativeInt | None = None,
+    flows: Flows = Flows(),
+    callback: Callback = SILENT,
+) -> Row:
+    """Run one episode from each start of a split, and return the row of the table.
+
+    Args:
+        policy: see ``fishrl score --help``.
+        task: a frozen task, ``station-v0``; none of its settings may be changed but
+            ``num_stacked``, which a function may need.
+        split: ``test``, or ``validation`` for choosing among policies.
+        name: name of the policy in the table; by default ``policy``.
+        trust: whether to load an archive of Stable-Baselines3, which runs code from it.
+        trained: decisions of the training, where the policy does not tell.
+        flows: flows that advance together, and how they are computed.
+        callback: called as it advances.
+
+    Raises:
+        ValueError: for invalid arguments, and where the task is not as it was frozen.
+    """
+    version = identify(task)
+    found = find_policy(policy, version, trust=trust)
+    held_out, starts = version.hold_out(split, num_stacked=found.num_stacked or task.num_stacked)
+    flows = replace(flows, num_envs=min(flows.num_envs, len(starts)))
+    begun = time.process_time()
+    env, act = prepare(found.act, task=held_out, flows=flows, callback=callback)
+    with closing(env):
+        callback.on_phase("evaluation", total=len(starts))
+        episodes = run_episodes(env, act, starts, on_episodes=callback.on_progress)
+    value = measure(episodes, version.measure)
+    return Row(
+        policy=name or policy,
+        kind=found.kind,
+        task=version.name,
+        split=split,
+        settings=version.settings,
+        starts=version.starts[split],
+        measure=version.measure,
+        value=value.value,
+        low=value.low,
+        high=value.high,
+        metrics={n: x if x == x else None for n, x in episodes.metrics().items()},
+        num_stacked=held_out.num_stacked,
+        recognition=found.recognition,
+        differs=found.differs,
+        trained_decisions=found.decisions if trained is None else trained,
+        scored_decisions=int(episodes.lengths.sum()),
+        cpu_seconds=round(time.process_time() - begun, 1),
+        commit=read_revision(),
+        versions={
+            "fishrl": __version__,
+            "python": platform.python_version(),
+            **{each.__name__: each.__version__ for each in (torch, torchrl, tensordict)},
+        },
+    )
+
+
+def measure(episodes: Episodes, name: str) -> Interval:
+    """Return the mean of a metric over episodes with its 95 % interval: Wilson's, or Student's."""
+    if name == "success_rate":
+        return find_share(int(episodes.succeeded.sum()), len(episodes.succeeded))
+    values = {
+        "mean_length_T": episodes.lengths * episodes.interval_T,
+        "mean_return": episodes.returns,
+    }
+    return find_mean(values[name].tolist())
+
+
+@program(score, without=("callback",), groups={"task": None})
+def main(*, save: str | None = None, **given: Any) -> None:
+    """Score, print the table with the new row, and store the row where ``save`` says.
+
+    Args:
+        save: JSON file for the row.
+        **given: arguments of ``score``.
+    """
+    path = None if save is None else Path(save).expanduser()
+    if path is not None:
+        check_folder(path)
+    with Progress() as progress:
+        row = score(**given, callback=progress)
+    others = [each for each in list_rows(row.task, row.split) if each.policy != row.policy]
+    rows = [*others, row]
+    print(f"{row.task}, {row.split}: {row.measure}, {row.metrics['episodes']} starts")
+    print("\n".join(show_table(rows, mark=row)))
+    if rank(rows)[0][1] is None:
+        print(
+            f"no score: it needs the rows of random and {find_version(row.task).controller} in "
+            "fishrl/benchmark/scores, and intervals that do not overlap"
+        )
+    print(f"{row.scored_decisions:,} decisions, {row.cpu_seconds:g} s of CPU")
+    if path is not None:
+        write_json(path, row.model_dump())
+        print(f"written to {path}")

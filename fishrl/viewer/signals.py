@@ -1,0 +1,59 @@
+"""A table of what a fish did and felt, for a spreadsheet."""
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from fishrl.envs import FlowEnv
+from fishrl.envs.extensions import HasFlowLabels, HasHistory, HasScene, find_extension
+from fishrl.envs.views import name_neuromasts
+from fishrl.files import write_whole
+
+
+def read_signals(env: FlowEnv) -> dict[str, Tensor]:
+    """Return the present row of the table of B flows, ``[B]`` by name of the column.
+
+    Columns: ``time_T``; nose ``x_bl``, ``y_bl``, from the lower left corner; ``heading_degrees``,
+    counter-clockwise from +x; ``bend``, curvature of the bent midline times L; ``frequency``, beats
+    per T. For each neuromast its place and its features, ``nose_x_bl``, ``right_1_pressure``, or
+    ``mean_pressure`` of an average; units are those of ``LateralLine``.
+    """
+    task, solver = env.task, env.solver
+    body, length = solver.body, task.scales.body_length
+    nose = solver.markers()[:, 0] / length
+    row = {
+        "time_T": body.age / task.scales.period,
+        "x_bl": nose[:, 0],
+        "y_bl": nose[:, 1],
+        "heading_degrees": torch.rad2deg(body.heading + body.internal_angle),
+        "bend": body.bend,
+        "frequency": body.frequency * task.scales.period,
+    }
+    felt = find_extension(task, HasHistory).sense(solver, env.start).get("sensed")
+    if felt is None:
+        return row
+    features = find_extension(task, HasFlowLabels).lateral_line_layout["features"]
+    places = find_extension(task, HasScene).read_scene(solver, env.start)["neuromasts"] / length
+    names = [name.replace(" ", "_") for name in name_neuromasts(places.shape[1])]
+    for index, name in enumerate(names):
+        row |= {f"{name}_x_bl": places[:, index, 0], f"{name}_y_bl": places[:, index, 1]}
+    for index, name in enumerate(names if felt.shape[1] == len(names) else ["mean"]):
+        row |= {f"{name}_{word}": felt[:, index, k] for k, word in enumerate(features)}
+    return row
+
+
+def write_table(columns: Mapping[str, Tensor], path: Path) -> None:
+    """Write columns ``[N]`` by name as CSV, one line per moment; repeated times are dropped."""
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    lines.writerow(columns)
+    last = None
+    for row in zip(*(column.tolist() for column in columns.values()), strict=True):
+        if row[0] != last:
+            lines.writerow(f"{value:.6g}" for value in row)
+        last = row[0]
+    write_whole(path, text.getvalue())
