@@ -34,10 +34,12 @@ from fishrl.wrappers.single import FlowSingleEnv
 
 __all__ = ["TASKS", "FlowSingleEnv", "FlowVectorEnv", "make_single", "make_vector"]
 
-#: Classes of tasks and all presets by id; add your own by ``gymnasium.register`` as below.
+_NAMES = list_tasks()
+#: Classes of tasks and all presets by id; add your own by ``gymnasium.register`` as below. Where
+#: there is ``predation-v0``, Gymnasium allows no ``predation``.
 TASKS: dict[str, Callable[..., AbstractTask]] = {
     **{f"fishrl/{task.__name__}-v0": task for task in (Predation, KarmanGait, Follower)},
-    **{f"fishrl/{name}": partial(make_task, name) for name in list_tasks()},
+    **{f"fishrl/{name}": partial(make_task, name) for name in _NAMES if f"{name}-v0" not in _NAMES},
 }
 
 

@@ -9,6 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 from pettingzoo.test import parallel_api_test
 
+from fishrl.benchmark import list_versions
 from fishrl.envs import Flows, Predation, PredationPair, make_env, make_task
 from fishrl.envs.control import Turn
 from fishrl.wrappers.gymnasium import TASKS, FlowVectorEnv
@@ -46,6 +47,7 @@ def test_presets_have_ids() -> None:
     env = gymnasium.make("fishrl/quick", **SETTINGS)
     assert env.unwrapped.vector.flows.task == make_task("quick", **SMALL, time_limit=3)
     env.close()
+    assert {f"fishrl/{name}" for name in list_versions()} <= set(gymnasium.registry)
     with pytest.raises(gymnasium.error.NameNotFound, match="Did you mean: `gait_bend`"):
         gymnasium.make("fishrl/gait_bent")
 
