@@ -1,7 +1,7 @@
 """What is drawn of every task: the flow, the bodies and forces, the edges, reward and action."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from tensordict import TensorDictBase
@@ -201,25 +201,47 @@ def make_fields(config: FlowConfig, scales: Scales) -> tuple[Field, ...]:
     )
 
 
-def compute_fields(solver: InPlaceSolver, scales: Scales) -> dict[str, Tensor]:
-    """Return the fields ``[B, Y, X]`` of ``make_fields``, float16."""
-    rho, u = solver.macroscopic()
-    speed = scales.reference_speed
-    fields = {
-        "vorticity": compute_vorticity(u) * scales.period,
-        "pressure": compute_pressure(rho) / speed**2,
-        "speed": u.norm(dim=1) / speed,
-    }
-    return {key: field.half() for key, field in fields.items()}
+#: Each field ``[N, Y, X]`` from density, velocity and scales.
+_COMPUTE: Mapping[str, Callable[[Tensor, Tensor, Scales], Tensor]] = {
+    "vorticity": lambda rho, u, scales: compute_vorticity(u) * scales.period,
+    "pressure": lambda rho, u, scales: compute_pressure(rho) / scales.reference_speed**2,
+    "speed": lambda rho, u, scales: torch.hypot(u[:, 0], u[:, 1]) / scales.reference_speed,
+}
+
+
+def compute_fields(
+    solver: InPlaceSolver,
+    scales: Scales,
+    *,
+    keys: Sequence[str] = FIELDS,
+    rows: Tensor | None = None,
+) -> dict[str, Tensor]:
+    """Return fields ``[B, Y, X]`` of ``make_fields``, float16; 0 in flows outside ``rows``."""
+    fluid = solver.macroscopic(rows)
+    fields = {key: _COMPUTE[key](*fluid, scales).half() for key in keys}
+    if rows is not None:
+        for key, field in fields.items():
+            fields[key] = field.new_zeros(len(rows), *field.shape[1:])
+            fields[key][rows] = field
+    return fields
 
 
 def read_scene(
-    task: AbstractTask, solver: InPlaceSolver, starts: TensorDictBase
+    task: AbstractTask,
+    solver: InPlaceSolver,
+    starts: TensorDictBase,
+    *,
+    fields: Sequence[str] = FIELDS,
+    rows: Tensor | None = None,
 ) -> dict[str, Tensor]:
-    """Return ``[B, ...]`` tensors by the keys of ``make_scene``; numbers of M fish ``[B, M]``."""
+    """Return ``[B, ...]`` tensors by the keys of ``make_scene``; numbers of M fish ``[B, M]``.
+
+    Of the fields only those of ``fields`` are read, and those of the flows in ``rows`` ``[B]``,
+    by default all; in others they are 0.
+    """
     extension = find_extension(task, HasScene)
     scales, num_fish = task.scales, task.num_fish
-    values = compute_fields(solver, scales)
+    values = compute_fields(solver, scales, keys=fields, rows=rows)
     for index, name in enumerate(("fish", *_name_obstacles(solver.config))):
         values |= _read_body(solver, index, name, scales)
     every = [_read_fish(solver, index, scales) for index in range(num_fish)]

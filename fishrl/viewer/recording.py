@@ -71,11 +71,18 @@ def name_flows(
     return {flow: f"flow {flow}" + f": {name}" * bool(name) for flow, name in names.items()}
 
 
-def read_values(base: FlowEnv, scene: Scene) -> dict[str, Tensor]:
-    """Return the current values ``[B, ...]`` of a scene by key, without fields that it hides."""
-    hidden = {field.key for field in scene.fields[1:]}
-    values = views.read_scene(base.task, base.solver, base.start)
-    return {key: value for key, value in values.items() if key not in hidden}
+def read_values(
+    base: FlowEnv, scene: Scene, rows: Collection[int] | None = None
+) -> dict[str, Tensor]:
+    """Return the current values ``[B, ...]`` of a scene by key, with the field that it shows.
+
+    The field is read in the flows ``rows``, by default in all; in others it is 0.
+    """
+    chosen = None if rows is None else torch.zeros(base.batch_size, dtype=torch.bool)
+    if chosen is not None:
+        chosen[list(rows)] = True
+    shown = [scene.field.key]
+    return views.read_scene(base.task, base.solver, base.start, fields=shown, rows=chosen)
 
 
 def list_reasons(task: AbstractTask, now: TensorDictBase) -> list[str]:
@@ -150,7 +157,7 @@ class Recorder:
         if not rows:
             return
         base = self._base
-        values, solver = read_values(base, self._scene), base.solver
+        values, solver = read_values(base, self._scene, rows), base.solver
         reasons = list_reasons(base.task, base.measure())
         ages, period = solver.body.age.tolist(), base.task.scales.period
         for row in rows:

@@ -92,6 +92,20 @@ def test_every_key_of_a_scene_can_be_read(kind: str) -> None:
     assert values["speed"].max().item() == pytest.approx(corner, rel=1e-3)
 
 
+def test_field_of_some_flows_is_that_of_all() -> None:
+    env = begin(Predation(**SMALL), 3)
+    noise = torch.randn(env.solver.populations().shape, generator=torch.Generator().manual_seed(0))
+    env.solver.set_populations_(0.01 * noise)
+    whole, rows = read(env), torch.tensor([True, False, True])
+    for key in FIELDS:
+        some = read_scene(env.task, env.solver, env.start, fields=[key], rows=rows)
+        assert torch.equal(some[key][rows], whole[key][rows])
+        assert not some[key][~rows].any()
+        assert set(whole) - set(some) == set(FIELDS) - {key}
+    u = env.solver.macroscopic()[1] / env.task.scales.reference_speed
+    torch.testing.assert_close(whole["speed"], u.norm(dim=1).half())
+
+
 class AcrossStream(Predation):
     """Food in a stream along +y, set by the boundaries alone."""
 

@@ -146,9 +146,14 @@ class FlowBatch:
         """Return a copy of the incoming populations ``[B, Q, Y, X]``."""
         return torch.cat([torch.stack(group.nodes, 1) for group in self.groups.values()])
 
-    def macroscopic(self) -> tuple[Tensor, Tensor]:
-        """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
-        fluids = [compute_macroscopic(group.nodes) for group in self.groups.values()]
+    def macroscopic(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Return density ``[N, Y, X]`` and velocity ``[N, 2, Y, X]`` of flows ``rows`` ``[B]``."""
+        fluids = []
+        for number, group in self.groups.items():
+            nodes: Sequence[Tensor] = group.nodes
+            if rows is not None and not (own := rows[self.rows_of(number)]).all():
+                nodes = [f[own] for f in nodes]
+            fluids.append(compute_macroscopic(nodes))
         velocities = [torch.stack((fluid.ux, fluid.uy), 1) for fluid in fluids]
         return torch.cat([fluid.rho for fluid in fluids]), torch.cat(velocities)
 

@@ -325,10 +325,11 @@ class RefinedBatch:
             u = torch.where(inside[..., None], values[1], u)
         return rho, u
 
-    def macroscopic(self) -> tuple[Tensor, Tensor]:
-        """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]`` at nodes of the finest level.
+    def macroscopic(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Return density ``[N, Y, X]`` and velocity ``[N, 2, Y, X]`` at nodes of the finest level.
 
-        Between the nodes of coarser levels they are linear.
+        They are those of the N of ``rows`` ``[B]``. Between the nodes of coarser levels they are
+        linear.
         """
         field = read_fields(self._root)
         edges = self._config.boundaries
@@ -342,6 +343,7 @@ class RefinedBatch:
             corner = grid.find_corner() + RING * grid.level.spacing
             for row, (x, y) in enumerate(corner.tolist()):
                 field[row, :, y : y + own.shape[2], x : x + own.shape[3]] = own[row]
+        field = field if rows is None else field[rows]
         return field[:, 0], field[:, 1:]
 
     def name_state(self) -> dict[str, list[Tensor]]:

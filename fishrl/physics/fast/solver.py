@@ -332,9 +332,12 @@ class InPlaceSolver:
         """``[B, G, 2]`` int64: first node (x, y) of each grid, in finest nodes; a copy."""
         return self._batch.find_corners()
 
-    def macroscopic(self) -> tuple[Tensor, Tensor]:
-        """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
-        return self._batch.macroscopic()
+    def macroscopic(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Return density ``[N, Y, X]`` and velocity ``[N, 2, Y, X]`` of the N of ``rows`` ``[B]``.
+
+        ``rows`` are bool; None is all flows.
+        """
+        return self._batch.macroscopic(None if rows is None else self._choose(rows))
 
     def find_water(self) -> Tensor:
         """Return ``[B, Y, X]`` bool: nodes of the flow, all but those inside a sharp skin."""

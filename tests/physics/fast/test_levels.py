@@ -110,11 +110,13 @@ def test_restored_flows_continue_bit_for_bit_in_this_process_or_another() -> Non
 def test_only_chosen_rows_advance() -> None:
     solver = start(make_config(), 2)
     solver.advance_(40)
-    before = solver.state_dict()
-    solver.advance_(8, torch.tensor([True, False]))
+    before, rows = solver.state_dict(), torch.tensor([True, False])
+    solver.advance_(8, rows)
     for name, value in solver.state_dict().items():
         assert torch.equal(value[1], before[name][1]), name
     assert solver._batch.flow.clock.tolist() == [48.0, 40.0]
+    for second, both in zip(solver.macroscopic(~rows), solver.macroscopic(), strict=True):
+        assert torch.equal(second, both[1:]) and not torch.equal(both[:1], both[1:])
 
 
 def test_fields_and_samples_agree_on_all_levels() -> None:

@@ -328,6 +328,16 @@ def test_at_a_node_the_flow_is_that_of_the_node(flows_per_launch: int) -> None:
     torch.testing.assert_close(velocity, u[:, :, y, x].mT, rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("flows_per_launch", [1, 2])
+def test_some_flows_are_read_as_among_all(flows_per_launch: int) -> None:
+    solver = make_noise(flows_per_launch)
+    whole = solver.macroscopic()
+    for number in range(2**4):
+        rows = torch.tensor([bool(number >> row & 1) for row in range(4)])
+        for some, every in zip(solver.macroscopic(rows), whole, strict=True):
+            assert torch.equal(some, every[rows])
+
+
 def test_sampling_is_bilinear_and_clamped_to_grid() -> None:
     solver = make_noise()
     density, velocity = solver.sample(torch.tensor([[[3.25, 4.5]]]).expand(4, 1, 2))
