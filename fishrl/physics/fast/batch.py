@@ -25,7 +25,6 @@ class FlowBatch:
         group_size: flows per group.
         device: where everything lives.
         allocate: makes the block of memory, from its size in bytes.
-        groups: those that this process reads and advances; None is all.
 
     ``RefinedBatch`` has the same methods for flows with levels.
 
@@ -42,7 +41,6 @@ class FlowBatch:
         group_size: int,
         device: torch.device,
         allocate: Callable[[int], Tensor],
-        groups: range | None = None,
     ) -> None:
         config = self._config = configs[0]
         self._size = group_size
@@ -57,11 +55,11 @@ class FlowBatch:
         self.stepper = Stepper(
             config, self.layout, pytree.tree_map(lambda t: t[:group_size], self._fresh)
         )
-        groups = range(len(configs) // group_size) if groups is None else groups
         self.groups = {
-            number: FlowGroup(self.memory_of(number), self.stepper.list_all()) for number in groups
+            number: FlowGroup(self.memory_of(number), self.stepper.list_all())
+            for number in range(len(configs) // group_size)
         }
-        self.first = self.groups[groups[0]]
+        self.first = self.groups[0]
 
     def memory_of(self, number: int) -> GroupMemory:
         """Return a group's part of the memory."""
@@ -162,7 +160,7 @@ class FlowBatch:
         return torch.cat([self.stepper.is_fine(group) for group in self.groups.values()])
 
     def advance_(self, num_steps: int, wanted: Collection[int]) -> None:
-        """Advance the wanted groups, as far as they belong to this process."""
+        """Advance the wanted groups."""
         for number, group in self.groups.items():
             if number in wanted:
                 self.stepper.advance_(group, num_steps)

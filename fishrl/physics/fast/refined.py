@@ -51,10 +51,9 @@ class RefinedBatch:
         group_size: int,
         device: torch.device,
         allocate: Allocate,
-        groups: range | None = None,
     ) -> None:
         self._config = configs[0]
-        self._settings = {"group_size": group_size, "device": device, "groups": groups}
+        self._settings = {"group_size": group_size, "device": device}
         self._fresh = make_fresh(configs, device)
         self.flow = pytree.tree_map(
             lambda t: t.clone(memory_format=torch.contiguous_format), self._fresh
@@ -136,10 +135,9 @@ class RefinedBatch:
 
     def _list_transfers(self) -> list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]:
         """Return the parts between grids with the first group's arguments."""
-        first = next(iter(self.groups))
-        own = [(part, args) for (part, number), args in self._arguments.items() if number == first]
+        own = [(part, args) for (part, number), args in self._arguments.items() if number == 0]
         by = torch.zeros_like(self._root.origin[: len(self._root.batch.first.nodes[0])])
-        chains = [Chain([find_moving(g, first, by) for g in chain]) for chain in self._moving]
+        chains = [Chain([find_moving(g, 0, by) for g in chain]) for chain in self._moving]
         bound = zip(self._choices, chains, strict=True)
         return [*own, *((part, part.bind(chain)) for part, chain in bound)]
 
@@ -265,7 +263,7 @@ class RefinedBatch:
         _copy(pairs)
 
     def advance_(self, num_steps: int, wanted: Collection[int]) -> None:
-        """Advance the wanted groups, as far as they belong to this process."""
+        """Advance the wanted groups."""
         num_pairs = num_steps // self._root.level.spacing // 2
         for number in self.groups:
             if number in wanted and num_pairs:
@@ -372,7 +370,6 @@ def make_batch(
     group_size: int,
     device: torch.device,
     allocate: Allocate,
-    groups: range | None = None,
 ) -> FlowBatch | RefinedBatch:
     """Return the batch of flows with one level, or with more.
 
@@ -385,4 +382,4 @@ def make_batch(
             f"levels = {configs[0].levels} on {device}: levels run on a CPU; give device=cpu, or "
             "levels=1"
         )
-    return kind(configs, group_size=group_size, device=device, allocate=allocate, groups=groups)
+    return kind(configs, group_size=group_size, device=device, allocate=allocate)

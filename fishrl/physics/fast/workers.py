@@ -59,7 +59,7 @@ def can_send(configs: Sequence[FlowConfig]) -> bool:
 
 
 class Workers:
-    """Subprocesses that advance their share of the flows; ``wait`` until they can.
+    """Subprocesses that share the flows which advance; ``wait`` until they can.
 
     Args:
         configs: configuration of each flow.
@@ -79,19 +79,19 @@ class Workers:
         compile: bool,
     ) -> None:
         self._processes: list[subprocess.Popen[bytes]] = []
-        for first in range(count):
+        for _ in range(count):
             process = _start("serve", stdout=subprocess.PIPE, pass_fds=[file])
             self._processes.append(process)
-            groups = range(first, len(configs) // group_size, count)
-            _send(process.stdin, (configs, group_size, groups, file, compile))
+            _send(process.stdin, (configs, group_size, file, compile))
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
         """Advance the flows of ``groups``, and wait for the workers."""
         if not self._processes:
             raise ChildProcessError("the flow workers have ended: make a new solver")
+        wanted, count = sorted(groups), len(self._processes)
         try:
-            for process in self._processes:
-                _send(process.stdin, (num_steps, frozenset(groups)))
+            for first, process in enumerate(self._processes):
+                _send(process.stdin, (num_steps, wanted[first::count]))
             self.wait()
         except BaseException:  # as by Ctrl-C: an answer not read would stand for the next request
             self.close()
@@ -176,14 +176,13 @@ def serve() -> None:
     """Run one worker: attach, then advance on demand until the parent closes the pipe."""
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # nothing but answers may go to the pipe
-    configs, group_size, groups, file, compile = pickle.load(requests)
+    configs, group_size, file, compile = pickle.load(requests)
     _begin()
     batch = make_batch(
         configs,
         group_size=group_size,
         device=torch.device("cpu"),
         allocate=SharedMemory(file),
-        groups=groups,
     )
     try:
         if compile:

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 import torch
 
 from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
-from fishrl.physics.bodies.motion import Fixed
+from fishrl.physics.bodies.motion import Fixed, Oscillating
 from fishrl.physics.cases import PERIODIC
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.fast import execution as execution_module
@@ -87,6 +88,34 @@ def test_flows_in_workers_equal_local_flows_until_closed() -> None:
     assert all(process.poll() is not None for process in processes)
     with pytest.raises(RuntimeError, match="this solver is closed: make a new one"):
         there.advance_(2)
+
+
+def test_workers_share_the_flows_that_advance_whichever_they_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    body = DCylinder(diameter=8, motion=Oscillating(sway=(1.0, 0.5)))
+    flows: Any = {"config": replace(CONFIG, width=48, height=40, bodies=(body,)), "num_envs": 6}
+    here, there = (
+        InPlaceSolver(compile=False, num_workers=count, frequency=0.01, **flows) for count in (0, 2)
+    )
+    there.compile()
+    send, shares = workers_module._send, list[int]()
+
+    def count(pipe: Any, message: Any) -> None:
+        shares.append(len(message[1]))
+        send(pipe, message)
+
+    monkeypatch.setattr(workers_module, "_send", count)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(12):
+        rows = torch.rand(6, generator=generator) < 0.5
+        shares.clear()
+        for solver in (here, there):
+            solver.advance_(2, rows)
+        assert sorted(shares) == [int(rows.sum()) // 2, (int(rows.sum()) + 1) // 2]
+        for name, value in here.state_dict().items():
+            assert torch.equal(value, there.state_dict()[name]), name
+    there.close()
 
 
 @pytest.mark.compile
