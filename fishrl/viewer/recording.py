@@ -78,8 +78,9 @@ def read_values(
 
     The field is read in the flows ``rows``, by default in all; in others it is 0.
     """
-    chosen = None if rows is None else torch.zeros(base.batch_size, dtype=torch.bool)
-    if chosen is not None:
+    chosen = None
+    if rows is not None:
+        chosen = torch.zeros(base.batch_size, dtype=torch.bool)
         chosen[list(rows)] = True
     shown = [scene.field.key]
     return views.read_scene(base.task, base.solver, base.start, fields=shown, rows=chosen)
