@@ -333,10 +333,7 @@ class InPlaceSolver:
         return self._batch.find_corners()
 
     def macroscopic(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Return density ``[N, Y, X]`` and velocity ``[N, 2, Y, X]`` of the N of ``rows`` ``[B]``.
-
-        ``rows`` are bool; None is all flows.
-        """
+        """Return density ``[N, Y, X]`` and velocity ``[N, 2, Y, X]`` of all flows or ``rows``."""
         return self._batch.macroscopic(None if rows is None else self._choose(rows))
 
     def find_water(self) -> Tensor:
