@@ -29,10 +29,13 @@ def write_whole(path: Path, text: str) -> None:
         stage.write_text(text, encoding="utf-8")
 
 
-def load_tensors(path: str | Path, *, what: str, remedy: str, device: str = "cpu") -> Any:
+def load_tensors(
+    path: str | Path, *, what: str, remedy: str, device: str = "cpu", maps: bool = False
+) -> Any:
     """Read a file of ``torch.save``; it cannot run code (``weights_only``).
 
-    The checksums in the file, CRC-32 of each part, are compared; ``torch.load`` does not.
+    The checksums in the file, CRC-32 of each part, are compared; ``torch.load`` does not. With
+    ``maps`` tensors of a CPU stay in the file, which must not change, until they are copied.
 
     Raises:
         ValueError: for a missing or damaged file, naming ``what`` it should hold and the remedy.
@@ -44,7 +47,7 @@ def load_tensors(path: str | Path, *, what: str, remedy: str, device: str = "cpu
         with zipfile.ZipFile(file) as parts:
             if parts.testzip() is not None:
                 raise ValueError("it has changed since it was written")
-        return torch.load(file, map_location=device, weights_only=True)
+        return torch.load(file, map_location=device, weights_only=True, mmap=maps)
     except FileNotFoundError as error:
         raise ValueError(f"{what} {file}: no such file; {remedy}") from error
     except Exception as error:  # damaged bytes make torch's unpickler raise any

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 from torch.utils.checkpoint import checkpoint
 
-from fishrl.physics.fast.checks import check_commands
+from fishrl.physics.commands import Commands
 from fishrl.physics.fast.compiled import compile_differentiable
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, make_params
 from fishrl.physics.step import step
@@ -87,6 +87,7 @@ def simulate(
         )
     if state.f.dtype not in (torch.float32, torch.float64):
         raise ValueError(f"f is {state.f.dtype}: give float32 or float64, such as state.f.float()")
+    commands = Commands([config] * len(state.f), has_own_bodies=params is not None)
     if params is None:
         params = make_params([config] * len(state.f), state.f.device)
     if max_bytes is not None:
@@ -113,7 +114,7 @@ def simulate(
             if control is not None:
                 state = control(number, state)
             if not is_transformed:
-                check_commands([config] * len(state.f), state.bodies)
+                commands.check(state.bodies, params.bodies)
             for _ in range(interval // unit):
                 state = advance_once(state, config, params)
             if record is not None:

@@ -182,7 +182,10 @@ class Checkpoint:
         try:
             for name, component in components.items():
                 remedy = "it is of another version"
-                state = load_tensors(files[name], what=name, remedy=remedy, device=device)
+                # a buffer is copied, and would be in memory twice
+                state = load_tensors(
+                    files[name], what=name, remedy=remedy, device=device, maps=True
+                )
                 component.load_state_dict(state)
         except Exception as error:  # states of other versions raise any
             raise _corrupt(self.path, error) from error

@@ -43,7 +43,7 @@ class ResumableCollector(Collector):
         self.env.base_env.load_state_dict(base_env)
         self._carrier: TensorDict = TensorDict.from_dict(
             carrier, batch_size=self.env.batch_size, device=self._carrier.device
-        )
+        ).clone()
         for name, spec in self.env.observation_spec.items():
             if isinstance(spec, Composite):  # a group of fish
                 self._carrier[name].batch_size = spec.shape

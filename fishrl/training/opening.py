@@ -90,9 +90,11 @@ class Opened:
         transition = 2 * (spec.num_inputs + spec.num_critic_inputs + spec.num_actions)
         needed: dict[str, dict[str, float]] = {plan.flows.device: {}, plan.policy_device: {}}
         flows = self.task.flow_config().num_bytes * plan.flows.num_envs
-        needed[plan.flows.device]["flows and their copy at evaluations"] = 2 * flows
+        needed[plan.flows.device]["flows and their copy at evaluations and checkpoints"] = 2 * flows
         needed[plan.policy_device] |= {
-            "networks": plan.algorithm.count_bytes(self.spec),
+            "networks": plan.algorithm.count_bytes(
+                spec, has_average=bool(plan.actor_average) or plan.scale_inputs
+            ),
             "buffer": 4 * transition * plan.buffer_size * self.task.num_fish,
         }
         for device, parts in needed.items():

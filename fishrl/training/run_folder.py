@@ -63,7 +63,8 @@ class RunFolder:
         while True:
             path = next(paths)
             try:
-                path.mkdir(parents=True)
+                with naming_folder(path):
+                    path.mkdir(parents=True)
             except FileExistsError:
                 if not reuse:
                     continue
@@ -92,7 +93,8 @@ class RunFolder:
 
     def hold(self) -> TextIO:
         """Lock the run until the file is closed or the process ends, or raise HeldError."""
-        file = self.lock.open("a")
+        with naming_folder(self.path):
+            file = self.lock.open("a")
         if not take_lock(file):
             file.close()
             raise HeldError(
@@ -111,6 +113,20 @@ class RunFolder:
         except Exception:
             write_whole(self.failure, traceback.format_exc())
             raise
+
+
+@contextmanager
+def naming_folder(path: Path) -> Iterator[None]:
+    """Raise ValueError, with a remedy, for a folder that the system does not let be made."""
+    try:
+        yield
+    except FileExistsError:
+        raise
+    except OSError as error:
+        raise ValueError(
+            f"folder {path}: cannot be written ({error.strerror}); give another folder=..., or "
+            "change its permissions"
+        ) from error
 
 
 def refuse_many(folder: Path, *, setting: str) -> None:

@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 from math import inf, pi
 
 import pytest
 import torch
+from torch.utils import _pytree as pytree
 
 from fishrl.physics import (
     Bending,
@@ -18,14 +20,17 @@ from fishrl.physics import (
     Foil,
     InPlaceSolver,
     Oscillating,
+    Towed,
     simulate,
 )
-from fishrl.physics.flow import make_rest
+from fishrl.physics.bodies.outline import BodyParams
+from fishrl.physics.flow import make_params, make_rest
 from tests.physics.flows import place_body
 
 STEPS = 20
 FISH = Fish(body_length=24)
 BENT = Fish(body_length=24, motion=Bending(gain=0.5, response=3.0))
+SLIDING = Fish(body_length=24, keeps_length=True)
 SWAYING = Cylinder(diameter=10, motion=Oscillating(sway=(3.0, 4.0)))
 PITCHING = Foil(chord=16, motion=Oscillating(pitch=0.5, pivot=8.0))
 #: Largest value of each quantity, for a surface of 0.3 nodes per step: the tail beats at 0.125 L; a
@@ -38,8 +43,14 @@ LIMITS = {
         "amplitude": 1.0,
     },
     SWAYING: {"frequency": 0.3 / (2 * pi * 5.0), "turn": inf},
+    SLIDING: {"frequency": 0.3 / (2 * pi * 0.125 * 24), "turn": 0.3 * STEPS / 24, "amplitude": 1.0},
     PITCHING: {"frequency": 0.3 / (2 * pi * 0.5 * 16), "turn": inf},
 }
+
+
+def find_near(body: BodyConfig) -> float:
+    """Return a frequency near its bound."""
+    return 0.9 * body.largest_frequency
 
 
 def construct(config: FlowConfig, name: str, value: float) -> None:
@@ -71,9 +82,66 @@ def control(config: FlowConfig, name: str, value: float) -> None:
     simulate(state, config, num_steps=2, control=change)
 
 
+def write(config: FlowConfig, name: str, value: float) -> None:
+    """Write the state of one of two bodies directly."""
+    solver = InPlaceSolver(config=config, num_envs=2, frequency=0.0, compile=False)
+    solver.advance_(2)
+    solver.body.turn_steps[1] = STEPS
+    getattr(solver.body, {"amplitude": "amplitude_goal"}.get(name, name))[1] = value
+    solver.advance_(2, rows=torch.tensor([False, True]))
+
+
+def write_state(config: FlowConfig, name: str, value: float) -> None:
+    """Write what a command changes by and by."""
+    assert name in ("amplitude", "towed")
+    solver = InPlaceSolver(config=config, num_envs=1, frequency=0.0, compile=False)
+    (solver.body.amplitude if name == "amplitude" else solver.body.velocity[:, 0]).fill_(value)
+    solver.advance_(2)
+
+
+def load(config: FlowConfig, name: str, value: float) -> None:
+    """Load a state in which somebody has changed the command."""
+    solver = InPlaceSolver(config=config, num_envs=1, frequency=0.0, compile=False)
+    state, field = solver.state_dict(), {"amplitude": "amplitude_goal"}.get(name, name)
+    state["bodies[0].turn_steps"].fill_(STEPS)
+    state[f"bodies[0].{field}"].fill_(value)
+    solver.load_state_dict(state)
+    solver.advance_(2)
+
+
+def replace_body(config: FlowConfig, name: str, value: float) -> None:
+    """Give one of two flows a body of another size, with ``set_body_``."""
+    assert name == "size"
+    body = config.bodies[0]
+    solver = InPlaceSolver(config=config, num_envs=2, frequency=find_near(body), compile=False)
+    two = pytree.tree_map(lambda of: of.expand(2, *of.shape[1:]), enlarge(body, value))
+    solver.set_body_(0, two, torch.tensor([False, True]))
+    solver.advance_(2)
+
+
+def give_params(config: FlowConfig, name: str, value: float) -> None:
+    """Give readable steps a body of another size, with ``params``."""
+    assert name == "size"
+    body = config.bodies[0]
+    params = make_params([config])._replace(bodies=(enlarge(body, value),))
+    state = FlowState(make_rest(config, 1), (place_body(32.0, 24.0, frequency=find_near(body)),))
+    simulate(state, config, params, num_steps=2)
+
+
+def enlarge(body: BodyConfig, factor: float) -> BodyParams:
+    name = "body_length" if isinstance(body, Fish) else "chord"
+    old = FlowConfig(width=64, height=48, tau=0.6, bodies=(body,)).bodies[0]
+    size = int(getattr(body, name) * factor)
+    return replace(old, num_markers=old.num_markers, **{name: size}).make_params()
+
+
 @pytest.mark.parametrize(
     ("way", "name"),
-    [(construct, "frequency"), *product((command, control), ("frequency", "turn", "amplitude"))],
+    [
+        (construct, "frequency"),
+        *product((command, control, write, load), ("frequency", "turn", "amplitude")),
+        (write_state, "amplitude"),
+    ],
 )
 @pytest.mark.parametrize("body", LIMITS, ids=lambda body: type(body.motion).__name__)
 def test_every_way_of_commanding_a_body_has_the_bound_of_its_constructor(
@@ -87,3 +155,24 @@ def test_every_way_of_commanding_a_body_has_the_bound_of_its_constructor(
             continue
         with pytest.raises(ValueError, match="allowed is"):
             way(config, name, 1.001 * sign * most)
+
+
+@pytest.mark.parametrize("way", [replace_body, give_params])
+@pytest.mark.parametrize(
+    "body", [FISH, BENT, SLIDING, PITCHING], ids=["turned", "bent", "sliding", "pitching"]
+)
+def test_body_of_another_size_has_the_bound_of_its_own(
+    way: Callable[[FlowConfig, str, float], None], body: BodyConfig
+) -> None:
+    config = FlowConfig(width=64, height=48, tau=0.6, bodies=(body,))
+    way(config, "size", 1.0)
+    way(config, "size", 0.9)
+    with pytest.raises(ValueError, match="allowed is"):
+        way(config, "size", 1.4)
+
+
+def test_towed_fish_has_a_bound_of_its_speed() -> None:
+    config = FlowConfig(width=64, height=48, tau=0.6, bodies=(replace(FISH, motion=Towed()),))
+    write_state(config, "towed", -0.299)
+    with pytest.raises(ValueError, match="allowed is"):
+        write_state(config, "towed", -0.301)

@@ -1,15 +1,18 @@
-"""What a collector holds of the flows while an evaluation borrows its env."""
+"""What is in memory twice: flows while an evaluation borrows them, nothing of a checkpoint."""
 
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from torch import Tensor
+from torchrl.data import LazyTensorStorage
 
 from fishrl.envs import Flows, Predation
 from fishrl.training import Plan, open_run
 from fishrl.training.loop import Training
 from tests.envs.test_real_flow import TINY
+from tests.training.conftest import QUICK, Toy
 
 
 def test_evaluation_holds_one_copy_of_the_flows(
@@ -32,3 +35,32 @@ def test_evaluation_holds_one_copy_of_the_flows(
     assert sum(copied) < task.flow_config().num_bytes
     after = env.base_env.solver.state_dict()
     assert all(value.equal(after[name]) for name, value in before.items())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads Linux's list of mapped files")
+def test_buffer_of_a_checkpoint_stays_in_its_file_until_it_is_copied(
+    toy: Toy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, load = [], LazyTensorStorage.load_state_dict
+
+    def note(self: Any, state: Any) -> None:
+        read.append(find_file(state["_storage"]["action"]))
+        load(self, state)
+
+    training = toy.begin(name="run", **QUICK)
+    training.run()
+    training.close()
+    monkeypatch.setattr(LazyTensorStorage, "load_state_dict", note)
+    again = toy.reopen("run", total_frames=320)
+    assert read and all("checkpoints" in file for file in read)
+    assert "checkpoints" not in find_file(again.learner.buffer[:]["action"])
+
+
+def find_file(tensor: Tensor) -> str:
+    """Return the file that a tensor's memory is mapped from, if any."""
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        span, *_, file = line.split(maxsplit=5)
+        first, last = (int(end, 16) for end in span.split("-"))
+        if first <= tensor.data_ptr() < last:
+            return file
+    return ""

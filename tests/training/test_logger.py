@@ -60,13 +60,14 @@ def test_wandb_writes_offline_beside_the_csv(
     before = dict(os.environ)
     complete(toy.begin(name="run", total_frames=80, logger=WandbLogger(is_offline=True)))
     folder = tmp_path / "run"
-    recorded = list(folder.glob("wandb/offline-run-*/*.wandb"))
-    assert len(recorded) == 1
-    assert (folder / "wandb_id").read_text() in recorded[0].name
     deadline = time.monotonic() + 300.0  # wandb's own process writes when it gets round to it
-    while b"train/return" not in recorded[0].read_bytes():
+    recorded: list[Path] = []
+    while not (recorded and b"train/return" in recorded[0].read_bytes()):
         assert time.monotonic() < deadline, "wandb wrote no metrics"
         time.sleep(0.1)
+        recorded = list(folder.glob("wandb/offline-run-*/*.wandb"))
+    assert len(recorded) == 1
+    assert (folder / "wandb_id").read_text() in recorded[0].name
     assert len(read_rows(folder)) == 2
     assert os.environ.get("WANDB_MODE") == before.get("WANDB_MODE")
 

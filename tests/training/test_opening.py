@@ -54,6 +54,21 @@ def test_run_with_invalid_settings_leaves_no_folder(
     assert not list(toy.folder.iterdir())
 
 
+@pytest.mark.parametrize("below", ["runs", "run"])
+def test_folder_that_cannot_be_written_is_named_before_anything_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, below: str
+) -> None:
+    """A file stands where the folder of runs would be, or a folder where the run has its lock."""
+    monkeypatch.setattr(Training, "_set_up", lambda _: pytest.fail("set up"))
+    if below == "runs":
+        (tmp_path / "runs").touch()
+    else:
+        (tmp_path / "runs" / "run" / ".lock").mkdir(parents=True)
+    opened = open_run(make_toy_plan(tmp_path / "runs", name="run"))
+    with pytest.raises(ValueError, match=r"folder .*runs.*run: cannot be written .*folder=\.\.\."):
+        Training(opened)
+
+
 def test_labels_lengthen_the_observation_of_the_policy() -> None:
     task = KarmanGait(observes=("place", "flow_label"))
     without, with_labels = (

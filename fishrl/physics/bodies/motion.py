@@ -29,10 +29,12 @@ class Motion(Settings):
         free_axes: rates that the flow determines: 0 and 1 are the velocity of the centre of mass
             along x and y, 2 is Omega.
         is_still: whether the body never leaves its place.
+        holds_x: whether it keeps the velocity along x that its state has.
     """
 
     free_axes: ClassVar[tuple[int, ...]] = ()
     is_still: ClassVar[bool] = False
+    holds_x: ClassVar[bool] = False
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return velocity ``[B, 2]`` and Omega ``[B]``; used where the flow does not set them."""
@@ -175,6 +177,7 @@ class Towed(Commanded):
     """A commanded fish that keeps its initial velocity along x; the flow moves it along y alone."""
 
     free_axes: ClassVar[tuple[int, ...]] = (1,)
+    holds_x: ClassVar[bool] = True
 
 
 class Bending(Motion):

@@ -6,9 +6,8 @@ from math import inf
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import FlowConfig
-from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
+from fishrl.physics.lattice import Q
 
 
 def check_tensor(
@@ -77,32 +76,6 @@ def read_frequency(frequency: float | Tensor | None, configs: Sequence[FlowConfi
         for body in config.bodies:
             body.check_speed(own)
     return value
-
-
-def check_commands(configs: Sequence[FlowConfig], bodies: Sequence[BodyState]) -> None:
-    """Raise ValueError on a CPU for commands that the constructors would refuse.
-
-    These are a frequency, turn or bend that moves a surface too fast, and amplitudes beyond the
-    gait's. ``bodies`` are the first ones of each flow, with their commands.
-    """
-    if not bodies or bodies[0].turn.device.type != "cpu":
-        return
-    for index, state in enumerate(bodies):
-        kinds = [config.bodies[index] for config in configs]
-        every = torch.ones_like(state.frequency, dtype=torch.bool)
-        size, most = torch.tensor(
-            [(kind.size, kind.largest_frequency) for kind in kinds], dtype=torch.float64
-        ).unbind(-1)
-        named, reason = f"of body {index}", f": no surface may exceed {MAX_IMPOSED_SPEED} per step"
-        check_tensor(
-            f"frequency {named}", state.frequency, where=every, largest=most, reason=reason
-        )
-        fastest = kinds[0].motion.compute_command_speed(state) * size.to(state.turn)
-        check_tensor(
-            f"turn {named}, speed of the tail", fastest, where=every, largest=MAX_IMPOSED_SPEED
-        )
-        share, gait = state.amplitude_goal, ": another gait swings further"
-        check_tensor(f"amplitude {named}", share, where=every, largest=1.0, reason=gait)
 
 
 def check_device(device: torch.device | str) -> None:

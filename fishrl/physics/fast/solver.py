@@ -10,14 +10,9 @@ from torch import Tensor
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium
+from fishrl.physics.commands import Commands
 from fishrl.physics.fast.batch import set_rows_
-from fishrl.physics.fast.checks import (
-    check_commands,
-    check_device,
-    check_populations,
-    check_tensor,
-    read_frequency,
-)
+from fishrl.physics.fast.checks import check_device, check_populations, check_tensor, read_frequency
 from fishrl.physics.fast.execution import Execution
 from fishrl.physics.fast.part import Part
 from fishrl.physics.fast.watch import Watch
@@ -84,6 +79,7 @@ class InPlaceSolver:
         has_many = len(self.config.bodies) > 1
         self._unplaced = self._choose(None) if has_many else None
         self._watch = Watch(self.config, self.num_envs, device)
+        self._commands = Commands(configs)
         self._watch.is_idle = frequency is None and self.config.fish is not None
         self._batch.initialise_()
         for body in self.bodies:
@@ -129,8 +125,9 @@ class InPlaceSolver:
         handles each flow.
 
         Raises:
-            ValueError: for an odd number of steps, for ``rows`` that are not ``[B]`` bool, and for
-                several bodies that have not been placed.
+            ValueError: for an odd number of steps, for ``rows`` that are not ``[B]`` bool, for
+                several bodies that have not been placed, and as ``command_``, whatever has written
+                the state of a body.
         """
         unit = 2 * self.config.coarsest_spacing
         if num_steps < 0 or num_steps % unit:
@@ -143,12 +140,16 @@ class InPlaceSolver:
                 f"the {len(self.bodies)} bodies overlap at the centre of the domain: "
                 "call reset_(position=...) first"
             )
+        self._check_commands(self.bodies)
         for index, num in enumerate(self._watch.split(num_steps, unit)):
             if index:
                 self._watch.look_(self._outlines())
             self._execution.advance_(num, groups)
         if rows is None and self.device.type == "cpu":
             self._watch.report(self._outlines(), self._batch.is_lost())
+
+    def _check_commands(self, bodies: Sequence[BodyState]) -> None:
+        self._commands.check(bodies, self._batch.flow.params.bodies)
 
     def _outlines(self) -> list[Tensor]:
         return [self.markers(index) for index in range(len(self.bodies))]
@@ -258,6 +259,7 @@ class InPlaceSolver:
         Place it again with ``reset_``. ValueError for another kind of body or number of markers.
         """
         set_rows_(self._get_body(index)[1], params, self._choose(rows), name="params")
+        self._commands.forget(index)
 
     def set_populations_(
         self,
@@ -311,7 +313,7 @@ class InPlaceSolver:
             for own in zip(*columns.values(), strict=True)
         ]
         pairs = list(zip(self.bodies, orders, strict=False))
-        check_commands(self.configs, [body._replace(**order) for body, order in pairs])
+        self._check_commands([body._replace(**order) for body, order in pairs])
         self._watch.is_idle &= frequency is None
         for body, order in pairs:
             for name, value in order.items():
@@ -389,6 +391,7 @@ class InPlaceSolver:
         """Restore ``state_dict()`` exactly; ValueError for another grid, batch or version."""
         self._batch.load_state_(state)
         self._unplaced = None
+        self._commands.forget(*range(len(self.bodies)))
         self._watch.forget_(self._choose(None))
 
     def list_calls(self) -> list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]:

@@ -38,7 +38,7 @@ from fishrl.programs.train_settings import TRAINING, TrainConfig
 from fishrl.training.interruption import SIGNALS
 from fishrl.training.opening import open_run
 from fishrl.training.progress import Progress
-from fishrl.training.run_folder import RunFolder
+from fishrl.training.run_folder import RunFolder, naming_folder
 
 logger = logging.getLogger(__name__)
 
@@ -95,8 +95,9 @@ def sweep(arguments: Sequence[str]) -> None:
     for job in jobs:
         open_run(job.settings)  # refuses settings that its run does not have
     folder = Path(jobs[0].settings.folder).expanduser()
-    folder.mkdir(parents=True, exist_ok=True)
-    write_whole(folder / "command.txt", f"{show_command('train', *arguments)}\n")
+    with naming_folder(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / "command.txt", f"{show_command('train', *arguments)}\n")
     is_cut_off = False
     try:
         with ending_runs():

@@ -86,11 +86,16 @@ class Algorithm(Settings, ABC):
         """Make the policy that collects, with the same weights; by default the policy itself."""
         return policy
 
-    def count_bytes(self, spec: PolicySpec) -> int:
-        """Return the bytes of all networks, of the gradients and of Adam's two moments."""
+    def count_bytes(self, spec: PolicySpec, *, has_average: bool = False) -> int:
+        """Return the bytes of all networks, of the gradients and of Adam's two moments.
+
+        ``has_average`` adds the second actor of ``actor_average`` or ``scale_inputs``.
+        """
         with Weightless():
-            loss = self.make_loss(self.make_policy(spec), spec, torch.Generator())
-        copies = [*loss.buffers(), *4 * list(loss.parameters())]
+            policy = self.make_policy(spec)
+            average = list(policy.parameters()) * has_average
+            loss = self.make_loss(policy, spec, torch.Generator())
+        copies = [*average, *loss.buffers(), *4 * list(loss.parameters())]
         return sum(tensor.nbytes for tensor in copies)
 
     def assemble(self, networks: Networks, settings: LearningSettings) -> Learner:
