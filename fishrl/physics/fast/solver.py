@@ -126,8 +126,7 @@ class InPlaceSolver:
 
         Raises:
             ValueError: for an odd number of steps, for ``rows`` that are not ``[B]`` bool, for
-                several bodies that have not been placed, and as ``command_``, whatever has written
-                the state of a body.
+                several bodies that have not been placed, and as ``command_``.
         """
         unit = 2 * self.config.coarsest_spacing
         if num_steps < 0 or num_steps % unit:
@@ -140,16 +139,13 @@ class InPlaceSolver:
                 f"the {len(self.bodies)} bodies overlap at the centre of the domain: "
                 "call reset_(position=...) first"
             )
-        self._check_commands(self.bodies)
+        self._commands.check(self.bodies, self._batch.flow.params.bodies)
         for index, num in enumerate(self._watch.split(num_steps, unit)):
             if index:
                 self._watch.look_(self._outlines())
             self._execution.advance_(num, groups)
         if rows is None and self.device.type == "cpu":
             self._watch.report(self._outlines(), self._batch.is_lost())
-
-    def _check_commands(self, bodies: Sequence[BodyState]) -> None:
-        self._commands.check(bodies, self._batch.flow.params.bodies)
 
     def _outlines(self) -> list[Tensor]:
         return [self.markers(index) for index in range(len(self.bodies))]
@@ -313,7 +309,8 @@ class InPlaceSolver:
             for own in zip(*columns.values(), strict=True)
         ]
         pairs = list(zip(self.bodies, orders, strict=False))
-        self._check_commands([body._replace(**order) for body, order in pairs])
+        ordered = [body._replace(**order) for body, order in pairs]
+        self._commands.check(ordered, self._batch.flow.params.bodies)
         self._watch.is_idle &= frequency is None
         for body, order in pairs:
             for name, value in order.items():
