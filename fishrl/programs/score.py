@@ -147,6 +147,7 @@ def score(
     found = find_policy(policy, version, trust=trust)
     held_out, starts = version.hold_out(split, num_stacked=found.num_stacked or task.num_stacked)
     flows = replace(flows, num_envs=min(flows.num_envs, len(starts)))
+    commit = read_revision()
     begun = sum(os.times()[:4])  # with processes that have ended, as the flows' have below
     env, act = prepare(found.act, task=held_out, flows=flows, callback=callback)
     with closing(env):
@@ -171,7 +172,7 @@ def score(
         trained_decisions=found.decisions if trained is None else trained,
         scored_decisions=int(episodes.lengths.sum()),
         cpu_seconds=round(sum(os.times()[:4]) - begun, 1),
-        commit=read_revision(),
+        commit=commit,
         versions={
             "fishrl": __version__,
             "python": platform.python_version(),

@@ -9,6 +9,7 @@ from fishrl.benchmark import SPLITS, compare, find_version, identify, list_versi
 from fishrl.benchmark.versions import read_draws, sum_settings
 from fishrl.envs import make_task
 from fishrl.presets import list_names
+from fishrl.training.baselines import find_baselines
 
 
 def test_every_frozen_task_has_its_file_and_quick_variant() -> None:
@@ -22,6 +23,7 @@ def test_every_frozen_task_has_its_file_and_quick_variant() -> None:
 def test_settings_and_starts_are_as_frozen(name: str) -> None:
     version = find_version(name)
     assert sum_settings(version.task) == version.settings
+    assert {"random", version.controller} <= {*find_baselines(version.task)}
     for split, num in SPLITS.items():
         task, starts = version.hold_out(split)
         assert starts.shape == (num,)
