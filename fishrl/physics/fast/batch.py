@@ -15,6 +15,7 @@ from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.fast.part import FlowGroup, Part, copy_tree
 from fishrl.physics.fast.stepper import Stepper
 from fishrl.physics.flow import FlowConfig, make_params
+from fishrl.torch_state import one_thread
 
 
 class FlowBatch:
@@ -157,7 +158,8 @@ class FlowBatch:
 
     def is_fine(self) -> Tensor:
         """Return ``[B]``: whether density and speed are within the method."""
-        return torch.cat([self.stepper.is_fine(group) for group in self.groups.values()])
+        with one_thread():  # several would wait for each other, on a busy machine for seconds
+            return torch.cat([self.stepper.is_fine(group) for group in self.groups.values()])
 
     def advance_(self, num_steps: int, wanted: Collection[int]) -> None:
         """Advance the wanted groups."""

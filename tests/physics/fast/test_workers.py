@@ -90,6 +90,23 @@ def test_flows_in_workers_equal_local_flows_until_closed() -> None:
         there.advance_(2)
 
 
+def test_flows_are_checked_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    solver, threads, before = make_solver(0), list[int](), torch.get_num_threads()
+    check = solver._batch.stepper.is_fine
+
+    def count(*arguments: Any) -> torch.Tensor:
+        threads.append(torch.get_num_threads())
+        return check(*arguments)
+
+    monkeypatch.setattr(solver._batch.stepper, "is_fine", count)
+    torch.set_num_threads(2)
+    try:
+        assert not solver.is_diverged().any()
+        assert (threads, torch.get_num_threads()) == ([1, 1], 2)
+    finally:
+        torch.set_num_threads(before)
+
+
 def test_workers_share_the_flows_that_advance_whichever_they_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
