@@ -89,6 +89,7 @@ def test_levels_in_place_equal_readable_steps(changes: dict[str, Any], skin: Ski
     for body, expected in zip(solver.bodies, exact.bodies, strict=True):
         torch.testing.assert_close(body.position, expected.position, rtol=0.0, atol=1e-5)
         torch.testing.assert_close(body.work, expected.work, rtol=1e-4, atol=1e-6)
+        torch.testing.assert_close(body.impulse, expected.impulse, rtol=1e-3, atol=1e-5)
     assert not solver.is_diverged().any()
 
 

@@ -47,10 +47,10 @@ config = FlowConfig(width=48, height=40, tau=0.6, bodies=(body,))
 def make(**settings):
     return InPlaceSolver(config=config, num_envs=2, **settings)
 """
-#: A compiler without space for a library.
+#: A compiler without space for a library, or for the headers compiled before it.
 COMPILER = """#!/bin/sh
 case "$*" in
-  *-shared*) echo 'no space left' >&2; exit 1;;
+  *-shared* | *.gch*) echo 'no space left' >&2; exit 1;;
   *) exec /usr/bin/g++ "$@";;
 esac
 """
