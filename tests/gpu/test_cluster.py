@@ -3,9 +3,9 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
+import ray
 import torch
 
 from fishrl.envs import Flows, Predation
@@ -22,15 +22,13 @@ pytestmark = [
 
 
 @pytest.fixture(autouse=True, scope="module")
-def cluster() -> Iterator[Any]:
-    import ray  # heavy: others collect these tests too
-
+def cluster() -> Iterator[None]:
     pretended = {"PRETEND_CUDA": os.environ.get("PRETEND_CUDA", "")}
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("PRETEND_CUDA", raising=False)  # Ray's own processes start without torch
         quiet = {"include_dashboard": False, "log_to_driver": False}
         ray.init(num_cpus=3, num_gpus=2, runtime_env={"env_vars": pretended}, **quiet)
-    yield ray
+    yield
     ray.shutdown()
 
 
@@ -45,9 +43,9 @@ def make_plan(folder: Path, *, name: str, num_frames: int, ray_collectors: int =
     )  # fmt: skip
 
 
-def test_each_collector_has_a_gpu_of_its_own(tmp_path: Path, cluster: Any) -> None:
+def test_each_collector_has_a_gpu_of_its_own(tmp_path: Path) -> None:
     training = Training(open_run(make_plan(tmp_path, name="run", num_frames=4)))
-    assert cluster.available_resources().get("GPU", 0.0) == 0.0
+    assert ray.available_resources().get("GPU", 0.0) == 0.0
     complete(training)
     assert training.learner.buffer[:]["observation_stack"].device.type == "cuda"
 
