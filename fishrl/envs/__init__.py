@@ -1,5 +1,6 @@
 """The environment and its tasks."""
 
+from fishrl.envs.command import Command
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.extensions import (
     HasFlowLabels,
@@ -12,7 +13,7 @@ from fishrl.envs.making import make_env, make_task
 from fishrl.envs.one_hot import OneHotAction
 from fishrl.envs.recognition import Oracle, Recognition
 from fishrl.envs.sense import Sense
-from fishrl.envs.task import AbstractTask, Command
+from fishrl.envs.task import AbstractTask
 from fishrl.envs.tasks import Follower, KarmanGait, Predation, PredationPair
 from fishrl.envs.transforms import PredictedFlowLabel, TrueFlowLabel
 

@@ -8,8 +8,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.agents import shape_fish
+from fishrl.envs.command import Command
 from fishrl.envs.sense import count_numbers, read_senses
-from fishrl.envs.task import AbstractTask, Command
+from fishrl.envs.task import AbstractTask
 from fishrl.physics.bodies.motion import Bending
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 

@@ -62,17 +62,18 @@ def sense_target(head: Tensor, heading: Tensor, target: Tensor, *, body_length: 
 
 
 def compute_clearance(markers: Tensor, flow: FlowConfig) -> Tensor:
-    """Return the distance of an outline from the nearest edge node; negative outside.
+    """Return the distance of an outline from the nearest of ``flow.edges``; negative outside.
 
     Args:
         markers: ``[B, N, 2]`` (x, y) in nodes.
-        flow: gives the size of the grid.
+        flow: gives the edges.
 
     Returns:
         ``[B]`` in nodes; NaN if a marker is NaN.
     """
     x, y = markers.unbind(-1)
-    gaps = (x, flow.width - 1.0 - x, y, flow.height - 1.0 - y)
+    (left, bottom), (right, top) = flow.edges
+    gaps = (x - left, right - x, y - bottom, top - y)
     return torch.stack(gaps, -1).flatten(1).amin(-1)
 
 

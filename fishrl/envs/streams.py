@@ -1,7 +1,7 @@
 """Streams of several speeds, which may change within an episode, with or without half discs."""
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache, cached_property
 from math import floor, inf, pi
@@ -120,7 +120,7 @@ class AbstractStreamTask(AbstractTask):
     @cached_property
     def origin(self) -> tuple[float, float]:
         """Middle of the disc's flat side, (x, y) in nodes."""
-        return self.stream.face_bl * self.body_length, 0.5 * (super().flow_config().height - 1)
+        return self.stream.face_bl * self.body_length, 0.5 * (self.domain[1] - 1)
 
     @cached_property
     def discs(self) -> tuple[DCylinder, ...]:
@@ -140,13 +140,14 @@ class AbstractStreamTask(AbstractTask):
     @cached_property
     def wakes(self) -> WakeBank | None:
         """Developed wakes in which episodes begin, a file for each diameter; None without discs."""
-        stream, scales, found = self.stream, self.scales, dict[int, tuple[Tensor, Tensor]]()
+        stream, scales = self.stream, self.scales
+        found: dict[int, tuple[Sequence[Tensor], Tensor]] = {}
         if not stream.has_disc:
             return None
         for diameter in dict.fromkeys(stream.diameters_bl):
             own = [flow for flow, other in enumerate(stream.diameters_bl) if other == diameter]
             recipe = WakeRecipe(
-                config=replace(self.flow_config(), bodies=(self.discs[own[0]],)),
+                config=_leave_alone(self.flow_config(), self.discs[own[0]]),
                 position=self.disc_places[own[0]],
                 heading=pi,
                 speeds=tuple(scales.reference_speed * stream.speeds_bl[flow] for flow in own),
@@ -156,11 +157,12 @@ class AbstractStreamTask(AbstractTask):
             bank = load_wakes(recipe, stream.wake_folder)
             if len(own) == len(stream.speeds_bl):
                 return bank
-            each = zip(bank.populations, bank.shedding_frequencies, strict=True)
+            each = zip(zip(*bank.populations, strict=True), bank.shedding_frequencies, strict=True)
             found |= zip(own, each, strict=True)
-        populations, frequencies = zip(*(found[flow] for flow in sorted(found)), strict=True)
+        wakes, frequencies = zip(*(found[flow] for flow in sorted(found)), strict=True)
         return WakeBank(
-            populations=torch.stack(populations), shedding_frequencies=torch.stack(frequencies)
+            populations=[torch.stack(grid) for grid in zip(*wakes, strict=True)],
+            shedding_frequencies=torch.stack(frequencies),
         )
 
     def flow_config(self) -> FlowConfig:
@@ -235,7 +237,8 @@ class AbstractStreamTask(AbstractTask):
             heading = torch.stack((heading, torch.full_like(heading, pi)), 1)
         solver.reset_(rows, position, heading, velocity=(1.0, 0.0))
         if self.wakes is not None:
-            solver.set_populations_(self.wakes.take(flow[rows], starts["wake_phase"][rows]), rows)
+            f = self.wakes.take(flow[rows], starts["wake_phase"][rows])
+            solver.set_populations_(_spread(f, solver.config), rows)
             solver.join_stream_(rows)
 
     def prepare_(self, solver: InPlaceSolver, starts: TensorDictBase) -> None:
@@ -281,6 +284,22 @@ class AbstractStreamTask(AbstractTask):
                 f"to {floor(1e3 * fastest) / 1e3:g} L/T, which is {MAX_WALL_SPEED} nodes per step "
                 f"(Mach {MAX_WALL_SPEED * 3**0.5:.2f}); lower the speeds, or max_wall_speed"
             )
+
+
+def _leave_alone(config: FlowConfig, disc: DCylinder) -> FlowConfig:
+    """Return a flow with the disc, its second body, as the only one, and with the disc's patch."""
+    kept = [patch for patch in config.patches if patch.bodies is None or 1 in patch.bodies]
+    patches = tuple(replace(patch, bodies=None) for patch in kept)
+    return replace(config, bodies=(disc,), patches=patches)
+
+
+def _spread(wake: Sequence[Tensor], config: FlowConfig) -> list[Tensor | None]:
+    """Return a wake of the disc alone for all grids, None where the fish has its own patch."""
+    own = iter(wake)
+    f: list[Tensor | None] = [next(own)]
+    for patch in config.refined:
+        f += [next(own) if 1 in patch.numbers else None for _ in range(config.levels - 1)]
+    return f
 
 
 @cache

@@ -15,14 +15,14 @@ from collections.abc import Mapping
 from functools import cached_property
 from itertools import pairwise
 from math import ceil
-from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 import torch
 from pydantic import Field, PositiveFloat, PositiveInt
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.command import Command
 from fishrl.envs.extensions import HasHistory, find_extension
 from fishrl.envs.mirror import Mirror, join_mirrors
 from fishrl.envs.schedule import make_schedule
@@ -33,27 +33,12 @@ from fishrl.physics.bodies.motion import Bending
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
+from fishrl.physics.levels.patch import Patch
 from fishrl.physics.skins import BounceBack, Skin
 from fishrl.physics.units import DEFAULT_WALL_SPEED, Scales
 from fishrl.settings import Settings, suggest
 
 _Size = Annotated[float, Field(gt=0, le=1e6)]
-
-
-class Command(NamedTuple):
-    """Command to the body for one control interval; commands to M fish are ``[B, M]``."""
-
-    #: ``[B]`` change of heading in radians, positive to the left (counter-clockwise), spread
-    #: smoothly over the interval; None for straight ahead
-    turn: Tensor | None = None
-    #: ``[B]`` deflection of the tail in L, positive for a turn to the left, of a fish whose motion
-    #: is ``Bending()``; None for none
-    bend: Tensor | None = None
-    frequency: Tensor | None = None  #: ``[B]`` tail beats per step, or None to keep it
-    #: ``[B]`` share of the gait's amplitude, 0 to 1, or None to keep it
-    amplitude: Tensor | None = None
-    #: entries ``[B, ...]`` of ``HasHistory.begin`` for the next measurement
-    kept: Mapping[str, Tensor] = MappingProxyType({})
 
 
 class AbstractTask(Settings, ABC):
@@ -68,11 +53,12 @@ class AbstractTask(Settings, ABC):
         max_wall_speed: largest speed of the beating tail, nodes per step; sets the period T.
         skin: how fish and water act on each other: ``bounce-back``, a sharp skin, or
             ``immersed-boundary``, the paper's; see the page on resolution.
-        levels: grids of different spacing; with 2, only the water around the fish has the spacing
-            that L is in, the rest twice that, and with 3 the rest four times. For one body alone.
-            T, the actions and the domain are rounded to what this takes.
+        levels: grids of different spacing; with 2, only the water around the bodies, or where they
+            may meet, has the spacing that L is in, the rest twice that, and with 3 the rest four
+            times. T, the actions and the domain are rounded to what this takes.
         domain_bl: width and height of the domain in body lengths.
-        wall_margin_bl: smallest distance of a marker from the edge, in body lengths.
+        wall_margin_bl: smallest distance of a marker from the edge, in body lengths; with levels,
+            which keep a patch off the edge, larger if need be (``wall_margin``).
         num_stacked: stacked observations, the current one included.
         time_limit: decisions after which an episode is truncated.
         control_interval_T: time between decisions, in periods T.
@@ -111,30 +97,14 @@ class AbstractTask(Settings, ABC):
                 f"critic_observes = {self.critic_observes}: allowed are {known}"
                 f"{suggest(unknown[0], list(self.known_senses))}"
             )
-        num_samples = find_extension(self, HasHistory).num_samples
-        stops = make_schedule(
-            self.n_substeps,
-            checks=self.checks_per_action,
-            samples=num_samples,
-            unit=2**self.levels,
-        )
-        flow = self.flow_config()  # raises if the domain is too small for the fish
-        if self.levels > 1 and len(flow.bodies) > 1:
-            raise ValueError(
-                f"levels = {self.levels} with {len(flow.bodies)} bodies: levels take one fish "
-                "alone, whose patch meets no other; give levels = 1"
-            )
-        # A marker must not leave the grid from the margin between two checks.
-        steps = [0, *(stop.step for stop in stops)]
-        travel = self.swimming_speed * max(after - before for before, after in pairwise(steps))
-        outside = 1.0 if self.levels == 1 else flow.body_bounds[0][0]  # where patches end
-        least = outside + travel
+        least = self._least_margin  # raises for checks and samples that do not fit into an action
+        self.flow_config()  # raises if the domain is too small for the fish
         if self.wall_margin < least:
             raise ValueError(
                 f"wall_margin_bl = {self.wall_margin_bl} is {self.wall_margin:.1f} nodes, but must "
-                f"be {outside:g} more than the {travel:.1f} that markers may move between two "
-                "checks: raise it to at least "
-                f"{ceil(1e3 * least / self.body_length) / 1e3:g}, or raise checks_per_action"
+                f"be 1 more than the {least - 1.0:.1f} that markers may move between two checks: "
+                f"raise it to at least {ceil(1e3 * least / self.body_length) / 1e3:g}, or raise "
+                "checks_per_action"
             )
 
     def __getstate__(self) -> dict[str, Any]:
@@ -257,10 +227,25 @@ class AbstractTask(Settings, ABC):
         """Duration of an action in periods T, rounded to whole steps."""
         return self.n_substeps / self.scales.period
 
-    @property
+    @cached_property
     def wall_margin(self) -> float:
-        """Smallest distance of a marker from the edge, in nodes."""
-        return self.wall_margin_bl * self.body_length
+        """Smallest distance of a marker from the edge, in nodes; with levels from sponges, too."""
+        asked = self.wall_margin_bl * self.body_length
+        return asked if self.levels == 1 else max(asked, self._least_margin)
+
+    @property
+    def _least_margin(self) -> float:
+        """Margin from which no marker leaves the grid, or its patch, between two checks, nodes."""
+        return self.travel + (1.0 if self.levels == 1 else self.flow_config().reach)
+
+    @cached_property
+    def travel(self) -> float:
+        """Bound on the way of a marker between two checks for termination, in nodes."""
+        samples, checks = find_extension(self, HasHistory).num_samples, self.checks_per_action
+        unit = 2**self.levels
+        stops = make_schedule(self.n_substeps, checks=checks, samples=samples, unit=unit)
+        steps = [0, *(stop.step for stop in stops)]
+        return self.swimming_speed * max(after - before for before, after in pairwise(steps))
 
     @property
     def swimming_speed(self) -> float:
@@ -290,12 +275,25 @@ class AbstractTask(Settings, ABC):
             return 0.0
         return MAX_IMPOSED_SPEED * self.n_substeps / (2.0 * motion.response * self.body_length)
 
+    @property
+    def domain(self) -> tuple[int, int]:
+        """Nodes of the flow along x and y; edges lie on nodes of the coarsest level."""
+        sizes, unit = [size * self.body_length for size in self.domain_bl], 2 ** (self.levels - 1)
+        more = self.levels > 1
+        width, height = (unit * round(size / unit) + more for size in sizes)
+        return width, height
+
+    def list_patches(self) -> tuple[Patch, ...]:
+        """Return where the finer levels are; with none, the default, each body has a patch.
+
+        Bodies that may meet need one that holds both, such as ``Patch.between(low, high)``. Patches
+        of bodies other than fish are set in ``flow_config``, with those bodies.
+        """
+        return ()
+
     def flow_config(self) -> FlowConfig:
         """Return the flow; the default is a closed tank of still water."""
-        width, height = (round(size * self.body_length) for size in self.domain_bl)
-        if self.levels > 1:  # edges lie on nodes of the coarsest level
-            unit: int = 2 ** (self.levels - 1)
-            width, height = (unit * round(size / unit) + 1 for size in (width, height))
+        width, height = self.domain
         return FlowConfig(
             width=width,
             height=height,
@@ -303,6 +301,7 @@ class AbstractTask(Settings, ABC):
             bodies=(self.fish,) * self.num_fish,
             skin=self.skin,
             levels=self.levels,
+            patches=self.list_patches() if self.levels > 1 else (),
         )
 
     @abstractmethod

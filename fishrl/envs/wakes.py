@@ -62,19 +62,21 @@ class WakeRecipe(Settings):
 class WakeBank:
     """Developed wakes of n flows at K phases."""
 
-    populations: Tensor  #: ``[n, K, Q, Y, X]`` shifted by the weights, float32
+    #: ``[n, K, Q, Y, X]`` of each grid, coarsest first, shifted by the weights, float32
+    populations: Sequence[Tensor]
     shedding_frequencies: Tensor  #: ``[n]`` per step, from the zero crossings of the lift, float64
-    _copies: dict[torch.device, Tensor] = field(default_factory=dict, init=False, repr=False)
+    _copies: dict[torch.device, list[Tensor]] = field(default_factory=dict, init=False, repr=False)
 
-    def take(self, flow: Tensor, phase: Tensor) -> Tensor:
-        """Return the wakes ``[N, Q, Y, X]`` of flows ``[N]`` at phases ``[N]`` in [0, 1).
+    def take(self, flow: Tensor, phase: Tensor) -> list[Tensor]:
+        """Return the wakes of flows ``[N]`` at phases ``[N]`` in [0, 1), for ``set_populations_``.
 
-        They are on the device of ``flow``, where the bank keeps a copy of itself from then on.
+        They are ``[N, Q, Y, X]`` of each grid, on the device of ``flow``, where the bank keeps a
+        copy of itself from then on.
         """
         if flow.device not in self._copies:
-            self._copies[flow.device] = self.populations.to(flow.device)
+            self._copies[flow.device] = [grid.to(flow.device) for grid in self.populations]
         bank = self._copies[flow.device]
-        return bank[flow, (phase * bank.shape[1]).long()]
+        return [grid[flow, (phase * grid.shape[1]).long()] for grid in bank]
 
 
 def find_file(recipe: WakeRecipe, folder: str | Path) -> Path:
@@ -123,7 +125,7 @@ def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
     kick = Fixed(kick_speed=0.3 * fastest, kick_steps=round(3.0 * size / fastest))
     config = replace(config, bodies=(replace(body, motion=kick),), stream_speed=fastest)
     solver = InPlaceSolver(config=config, num_envs=1, compile=compile, num_workers=0)
-    wakes: list[Tensor] = []
+    wakes: list[list[Tensor]] = []
     frequencies: list[float] = []
     for speed in recipe.speeds:
         snapshots, frequency = _develop(solver, recipe, speed)
@@ -132,14 +134,14 @@ def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
         logger.info("wake %d: Strouhal %.4f", len(wakes), frequency * size / speed)
     solver.close()
     return WakeBank(
-        populations=torch.stack(wakes),
+        populations=[torch.stack(grid) for grid in zip(*wakes, strict=True)],
         shedding_frequencies=torch.tensor(frequencies, dtype=torch.float64),
     )
 
 
-def _develop(solver: InPlaceSolver, recipe: WakeRecipe, speed: float) -> tuple[Tensor, float]:
-    """Return the snapshots ``[K, Q, Y, X]`` of one flow and its frequency per step."""
-    travel = solver.config.bodies[0].size / speed
+def _develop(solver: InPlaceSolver, recipe: WakeRecipe, speed: float) -> tuple[list[Tensor], float]:
+    """Return the snapshots ``[K, Q, Y, X]`` of one flow's grids and its frequency per step."""
+    travel, unit = solver.config.bodies[0].size / speed, 2 * solver.config.coarsest_spacing
     solver.set_stream_speed_(torch.tensor([speed], dtype=torch.float64))
     solver.reset_(
         torch.ones(1, dtype=torch.bool),
@@ -147,7 +149,7 @@ def _develop(solver: InPlaceSolver, recipe: WakeRecipe, speed: float) -> tuple[T
         torch.tensor([recipe.heading], dtype=torch.float64),
         velocity=(1.0, 0.0),
     )
-    interval = 2 * max(1, round(0.5 * travel / _SAMPLES_PER_TRAVEL))
+    interval = unit * max(1, round(travel / _SAMPLES_PER_TRAVEL / unit))
     num = round(0.5 * recipe.num_travels * travel / interval)
     impulses: list[Sequence[float]] = [solver.body.impulse[0].tolist()]
     for _ in trange(2 * num, desc=f"wake at {speed:.4f}", leave=False, disable=None):
@@ -170,10 +172,10 @@ def _develop(solver: InPlaceSolver, recipe: WakeRecipe, speed: float) -> tuple[T
     # a sample is the mean over the preceding interval, so its time is half an interval earlier
     last = (len(lift) - 0.5 - float(find_crossings(lift - cycles.mean)[-1])) * interval
     begin = period * -(-last // period) - last
-    snapshots, now = [], 0
+    snapshots, now, num_grids = [], 0, len(solver.config.list_grids())
     for k in range(recipe.num_phases):
-        target = 2 * round(0.5 * (begin + k * period / recipe.num_phases))
+        target = unit * round((begin + k * period / recipe.num_phases) / unit)
         solver.advance_(target - now)
         now = target
-        snapshots.append(solver.populations()[0].cpu())
-    return torch.stack(snapshots), cycles.frequency
+        snapshots.append([solver.populations(grid)[0].cpu() for grid in range(num_grids)])
+    return [torch.stack(grid) for grid in zip(*snapshots, strict=True)], cycles.frequency

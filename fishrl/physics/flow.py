@@ -10,14 +10,21 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.memory import check_memory
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundaries, Periodic, Side
 from fishrl.physics.collision import Rates, compute_equilibrium
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
-from fishrl.physics.levels.patch import CLEARANCE, RING, Patch, default_patches, measure_patch
+from fishrl.physics.levels.patch import (
+    CLEARANCE,
+    RING,
+    Patch,
+    default_patches,
+    fit_patch,
+    inset,
+    measure_patch,
+)
 from fishrl.physics.skins import BounceBack, Skin
 from fishrl.physics.units import check_tau
 from fishrl.settings import Settings
@@ -112,7 +119,7 @@ class FlowConfig(Settings):
 
     def _check_levels(self) -> None:
         """Raise ValueError for sizes and patches that levels do not allow."""
-        given = sorted(index for patch in self.refined for index in patch.bodies)
+        given = sorted(index for patch in self.refined for index in patch.numbers)
         if not self.refined or given != list(range(len(self.bodies))):
             raise ValueError(
                 f"patches hold the bodies {given} of {len(self.bodies)}: give each body in one "
@@ -126,7 +133,7 @@ class FlowConfig(Settings):
                     f"{size - rest + self.coarsest_spacing}, to end on a node of the coarsest level"
                 )
         for patch in self.refined:
-            width, height = measure_patch(patch, self.bodies, self.levels)[0]
+            width, height = measure_patch(patch, self.bodies, self.levels, self.list_bounds())[0]
             (left, bottom), (right, top) = self.list_bounds()
             if width // 2 > right - left or height // 2 > top - bottom:
                 unit = self.coarsest_spacing
@@ -138,8 +145,11 @@ class FlowConfig(Settings):
 
     @property
     def refined(self) -> tuple[Patch, ...]:
-        """The patches of the finer levels; none with one level."""
-        return (self.patches or default_patches(self.bodies)) if self.levels > 1 else ()
+        """The patches of the finer levels, with their bodies' numbers; none with one level."""
+        if self.levels == 1:
+            return ()
+        given, bounds = self.patches or default_patches(self.bodies), self.list_bounds()
+        return tuple(fit_patch(patch, len(self.bodies), self.levels, bounds) for patch in given)
 
     @property
     def coarsest_spacing(self) -> int:
@@ -172,19 +182,31 @@ class FlowConfig(Settings):
         return (low[0], low[1]), (high[0], high[1])
 
     @property
+    def edges(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Least and largest (x, y) of the water that bodies may be in, nodes.
+
+        It ends at the edges, with levels also where sponges begin.
+        """
+        if self.levels == 1:
+            return (0, 0), (self.width - 1, self.height - 1)
+        low, high, unit = *self.list_bounds(), self.coarsest_spacing
+        first, last = (
+            [unit * (n + sign * CLEARANCE) for n in end] for sign, end in ((-1, low), (1, high))
+        )
+        return (first[0], first[1]), (last[0], last[1])
+
+    @property
+    def reach(self) -> float:
+        """Distance from ``edges`` that markers must keep, nodes."""
+        # each patch keeps from its parent's edges; the skin reads within the finest one's ring
+        within = CLEARANCE * self.coarsest_spacing + inset(0, self.levels) + RING
+        return self.skin.margin + (within if self.levels > 1 else 0)
+
+    @property
     def body_bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Least and largest (x, y) of markers that a body may have, nodes."""
-        reach = self.skin.margin
-        if self.levels == 1:
-            return (reach, reach), (self.width - 1 - reach, self.height - 1 - reach)
-        unit = self.coarsest_spacing
-        # each patch keeps from its parent's edges; the skin reads within the finest one's ring
-        inner = sum(CLEARANCE * 2**level for level in range(1, self.levels - 1)) + RING + reach
-        low, high = self.list_bounds()
-        return (
-            (unit * low[0] + inner, unit * low[1] + inner),
-            (unit * high[0] - inner, unit * high[1] - inner),
-        )
+        (left, bottom), (right, top), reach = *self.edges, self.reach
+        return (left + reach, bottom + reach), (right - reach, top - reach)
 
     @property
     def nu(self) -> float:
@@ -203,7 +225,7 @@ class FlowConfig(Settings):
         """
         grids = [(*self.coarsest_size, self.coarsest_spacing)]
         for patch in self.refined:
-            sizes = measure_patch(patch, self.bodies, self.levels)
+            sizes = measure_patch(patch, self.bodies, self.levels, self.list_bounds())
             grids += [(*size, 2**k) for k, size in enumerate(reversed(sizes))][::-1]
         return grids
 
@@ -372,27 +394,3 @@ def change_stream_speed(
         former_speed=compute_stream_speed(params, clock),
         ramp_start=clock.clone(),
     )
-
-
-def list_configs(
-    config: FlowConfig | Sequence[FlowConfig],
-    num_envs: int | None,
-    device: torch.device | str = "cpu",
-) -> list[FlowConfig]:
-    """Return one configuration per flow.
-
-    Raises:
-        ValueError: if there are not ``num_envs`` of them, or their populations exceed the memory.
-    """
-    if isinstance(config, FlowConfig):
-        num_envs = 1 if num_envs is None else num_envs
-        if num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
-        check_memory(device=device, flows=num_envs * config.num_bytes)
-        return [config] * num_envs
-    if not config or num_envs not in (None, len(config)):
-        raise ValueError(
-            f"num_envs = {num_envs} with {len(config)} configurations: give one per flow"
-        )
-    check_memory(device=device, flows=sum(one.num_bytes for one in config))
-    return list(config)

@@ -34,10 +34,12 @@ def move_kinematically(patch: pytest.MonkeyPatch) -> None:
 
 def make_streams(recipe: WakeRecipe) -> WakeBank:
     """Return undisturbed streams in place of wakes, which take minutes to develop."""
-    speed = torch.tensor(recipe.speeds).view(-1, 1, 1, 1)
-    ux = speed.expand(-1, 1, recipe.config.height, recipe.config.width)
-    stream = torch.stack(compute_equilibrium(torch.zeros_like(ux), ux, torch.zeros_like(ux)), 2)
-    return WakeBank(populations=stream, shedding_frequencies=torch.ones(len(speed)))
+    speed, streams = torch.tensor(recipe.speeds).view(-1, 1, 1, 1), []
+    for width, height, _ in recipe.config.list_grids():
+        ux = speed.expand(-1, 1, height, width)
+        none = torch.zeros_like(ux)
+        streams.append(torch.stack(compute_equilibrium(none, ux, none), 2))
+    return WakeBank(populations=streams, shedding_frequencies=torch.ones(len(speed)))
 
 
 @pytest.fixture

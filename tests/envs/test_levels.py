@@ -1,12 +1,22 @@
 """Tasks on levels: what is rounded, what is refused, and one decision of the real flow."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
-from fishrl.envs import FlowEnv, Flows, Predation
-from tests.envs.conftest import act
+from fishrl.envs import AbstractTask, FlowEnv, Flows, Follower, KarmanGait, Predation
+from fishrl.envs.control import DirectFrequencies, Turn
+from fishrl.envs.lateral_line import LateralLine
+from fishrl.envs.stations import SafeArea
+from fishrl.envs.streams import Stream
+from fishrl.envs.tasks.predation_pair import PredationPair
+from fishrl.envs.wakes import WakeBank, WakeRecipe
+from fishrl.physics import FlowConfig, Patch
+from tests.envs.conftest import make_streams, reset_rows
 
 TASK: dict[str, Any] = {
     "body_length": 16,
@@ -26,14 +36,94 @@ def test_period_actions_and_domain_are_rounded_to_levels(levels: int) -> None:
     assert config.levels == levels
 
 
-def test_environment_acts_and_resumes_on_levels() -> None:
+SHORT: dict[str, Any] = {
+    "body_length": 20,
+    "reynolds": 300.0,
+    "max_wall_speed": 0.15,
+    "levels": 2,
+    "control_interval_T": 0.06,
+    "checks_per_action": 2,
+}
+NARROW = Stream(speeds_bl=(1.0, 1.25), diameter_bl=(0.4, 0.6), face_bl=1.0, num_phases=1)
+KARMAN: dict[str, Any] = {
+    "control_interval_T": 0.12,
+    "domain_bl": (4.0, 2.4),
+    "stream": NARROW,
+    "start_flows": (0, 1),
+    "start_x_bl": (0.9, 1.0),
+    "control": DirectFrequencies(frequencies=(0.5, 1.0)),
+    "safe_area": SafeArea(near_bl=0.3, far_bl=1.5, aside_bl=0.5),
+    "lateral_line": LateralLine(num_samples=1),
+}
+EVERY = (
+    Predation(**SHORT, control=Turn(turn_degrees=5.0)),
+    PredationPair(**SHORT, control=Turn(turn_degrees=5.0)),
+    KarmanGait(**SHORT | KARMAN),
+    Follower(**SHORT),
+)
+
+
+@pytest.mark.parametrize("task", EVERY, ids=lambda task: type(task).__name__)
+def test_rows_of_every_task_reset_diverge_and_resume_alone_on_levels(
+    task: AbstractTask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fishrl.envs.streams.load_wakes", lambda recipe, _: make_streams(recipe))
     flows = Flows(num_envs=2, compile=False, num_workers=0)
-    env, twin = (FlowEnv(task=Predation(**TASK), flows=flows, seed=1) for _ in range(2))
-    env.reset()
-    after = act(env, 1, 1)
-    assert after["observation"].isfinite().all() and not after["terminated"].any()
-    assert env.solver.body.age.tolist() == [float(env.task.n_substeps)] * 2
-    twin.reset()
+    env, twin = (FlowEnv(task=task, flows=flows, seed=1) for _ in range(2))
+    acted = env.step(env.rand_action(env.reset()))["next"]
+    assert not acted["done"].any()
     twin.load_state_dict(env.state_dict())
-    pairs = zip(env.solver.state_dict().items(), twin.solver.state_dict().values(), strict=True)
-    assert [name for (name, one), other in pairs if not torch.equal(one, other)] == []
+    solver, num = env.solver, len(task.flow_config().list_grids())
+    every = [solver.populations(grid)[1:] for grid in range(num)]
+    every[-1].fill_(torch.nan)
+    solver.set_populations_(every, torch.tensor([False, True]))
+    action = env.rand_action(acted.clone())
+    lost, same = (each.step(action.clone())["next"] for each in (env, twin))
+    assert lost["diverged"].flatten().tolist() == [False, True]
+    _assert_equal_rows(lost.flatten_keys(), same.flatten_keys())
+    _assert_equal_rows(solver.state_dict(), twin.solver.state_dict())
+    before = solver.state_dict()
+    reset = reset_rows(env, False, True)
+    _assert_equal_rows(before, solver.state_dict())
+    assert all(value.isfinite().all() for value in solver.state_dict().values())
+    assert not reset["done"].any() and not solver.is_diverged().any()
+
+
+def _assert_equal_rows(one: Mapping[str, Tensor], other: Mapping[str, Tensor]) -> None:
+    """Assert that row 0 of two states is the same, bit for bit."""
+    pairs = {name: (value[0], other[name][0]) for name, value in one.items()}
+    assert [name for name, (a, b) in pairs.items() if not torch.equal(a, b)] == []
+
+
+def test_episode_begins_in_the_wake_on_all_grids_and_beside_a_patch_of_the_fish(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The grids of the disc are the wake's; a fish that is far has a patch, which they fill."""
+
+    class Far(KarmanGait):
+        def flow_config(self) -> FlowConfig:
+            fish = Patch(bodies=(0,), size=(40, 30))
+            disc = Patch(bodies=(1,), size=(24, 24), centre=self.origin)
+            return replace(super().flow_config(), patches=(fish, disc))
+
+    def shed(recipe: WakeRecipe, _: str) -> WakeBank:
+        bank = make_streams(recipe)
+        noise = [1e-4 * torch.randn(f.shape, generator=generator) for f in bank.populations]
+        return replace(
+            bank, populations=[f + n for f, n in zip(bank.populations, noise, strict=True)]
+        )
+
+    generator = torch.Generator().manual_seed(0)
+    monkeypatch.setattr("fishrl.envs.streams.load_wakes", shed)
+    far = {"domain_bl": (5.0, 2.4), "start_x_bl": (1.4, 1.5)}
+    area = {"safe_area": SafeArea(near_bl=1.0, far_bl=2.0, aside_bl=0.3)}
+    for kind, changes, own in ((KarmanGait, {}, [0, 1]), (Far, far | area, [0, 2])):
+        task = kind(**SHORT | KARMAN | changes)
+        env = FlowEnv(task=task, flows=Flows(num_envs=2, compile=False, num_workers=0), seed=1)
+        wake = task.wakes.take(env.start["flow_index"], env.start["wake_phase"])
+        for grid, f in zip(own, wake, strict=True):
+            assert torch.equal(env.solver.populations(grid), f)
+    rho, u = (field[:, :, 24] for field in env.solver.macroscopic())
+    assert rho.std() > 1e-5 and not env.solver.is_diverged().any()
+    inside = env.solver.markers(0).mean(1, keepdim=True)
+    assert env.solver.sample(inside)[1][..., 0].min() > 0.5 * float(u[:, 0].mean())

@@ -32,7 +32,9 @@ def make_task(**changes: object) -> KarmanGait:
     config = task.flow_config()
     generator = torch.Generator().manual_seed(0)
     noise = torch.randn(3, 4, 9, config.height, config.width, generator=generator)
-    task.__dict__["wakes"] = WakeBank(populations=1e-4 * noise, shedding_frequencies=torch.ones(3))
+    task.__dict__["wakes"] = WakeBank(
+        populations=[1e-4 * noise], shedding_frequencies=torch.ones(3)
+    )
     return task
 
 
@@ -48,7 +50,7 @@ def test_episode_begins_behind_its_disc_and_in_its_wake(task: KarmanGait) -> Non
     env = make_flows(task, 2, starts=starts)
     env.reset()
     assert task.wakes is not None
-    expected = task.wakes.populations[[2, 0], [3, 0]]
+    expected = task.wakes.populations[0][[2, 0], [3, 0]]
     assert torch.equal(env.solver.populations(), expected)
     discs = env.solver.markers(1)
     x, y = task.origin

@@ -38,7 +38,7 @@ def test_each_disc_has_one_file_of_wakes(tmp_path: Path, monkeypatch: pytest.Mon
         sizes = torch.tensor([size * speed for speed in recipe.speeds], dtype=torch.float64)
         height, width = recipe.config.height, recipe.config.width
         empty = sizes.float()[:, None, None, None, None].expand(-1, 2, 9, height, width)
-        return WakeBank(populations=empty, shedding_frequencies=sizes)
+        return WakeBank(populations=[empty], shedding_frequencies=sizes)
 
     monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", develop)
     discs = {"speeds_bl": (1.0, 1.0, 1.5), "diameter_bl": (0.4, 0.6, 0.4), "face_bl": 1.0}
@@ -48,7 +48,7 @@ def test_each_disc_has_one_file_of_wakes(tmp_path: Path, monkeypatch: pytest.Mon
         assert task.wakes is not None
         found = task.wakes.shedding_frequencies / task.wakes.shedding_frequencies[0]
         assert found.tolist() == pytest.approx([1.0, 1.5, 1.5])
-        first = task.wakes.populations[:, 0, 0, 0, 0]
+        first = task.wakes.populations[0][:, 0, 0, 0, 0]
         assert torch.equal(first, task.wakes.shedding_frequencies.float())
     assert len(recipes) == len(list(tmp_path.glob("*.pt"))) == 2
     x, _ = task.origin

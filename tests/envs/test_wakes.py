@@ -43,7 +43,7 @@ def bank() -> WakeBank:
 
 def test_shedding_frequency_is_plausible(bank: WakeBank) -> None:
     """Strouhal numbers of half discs lie at 0.15 to 0.27, see the validation page."""
-    assert bank.populations.shape == (1, 4, 9, 48, 72)
+    assert [f.shape for f in bank.populations] == [(1, 4, 9, 48, 72)]
     assert 0.15 < bank.shedding_frequencies.item() * 8 / SPEED < 0.27
 
 
@@ -60,22 +60,26 @@ def test_snapshots_are_equal_parts_of_a_period_apart(bank: WakeBank) -> None:
     solver.set_populations_(bank.take(torch.zeros(4, dtype=torch.int64), phase))
     solver.advance_(2 * round(0.125 / bank.shedding_frequencies.item()))
     behind = (slice(None), slice(None), slice(8, 40), slice(24, 60))
-    after, snapshots = solver.populations()[behind], bank.populations[0][behind]
+    after, snapshots = solver.populations()[behind], bank.populations[0][0][behind]
     error = (after[:, None] - snapshots[None]).square().mean((-1, -2, -3)).sqrt()
     assert error.argmin(1).tolist() == [1, 2, 3, 0]
     assert (error.amin(1) < 0.15 * error.amax(1)).all()
 
 
-def test_each_wake_has_its_own_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("levels", [1, 2])
+def test_each_wake_has_its_own_speed(levels: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One solver develops them all; vortices are left out, to save time."""
     speeds, frequencies = (SPEED, 0.10), iter((0.02, 0.05))
     shed = lambda *_: SimpleNamespace(frequency=next(frequencies), mean=0.0)  # noqa: E731
     monkeypatch.setattr("fishrl.envs.wakes.measure_cycles", shed)
     monkeypatch.setattr("fishrl.envs.wakes.find_crossings", lambda _: [0.0])
-    short = replace(RECIPE, speeds=speeds, num_phases=2, num_travels=1.0)
+    config = replace(RECIPE.config, width=73, height=49, levels=levels)
+    short = replace(RECIPE, config=config, speeds=speeds, num_phases=2, num_travels=1.0)
     bank = develop_wakes(short, compile=False)
     assert bank.shedding_frequencies.tolist() == [0.02, 0.05]
-    inflow = compute_macroscopic(bank.populations.unbind(2)).ux[..., 0]
+    grids = [(2, 2, 9, height, width) for width, height, _ in config.list_grids()]
+    assert [f.shape for f in bank.populations] == grids
+    inflow = compute_macroscopic(bank.populations[0].unbind(2)).ux[..., 0]
     for measured, speed in zip(inflow, speeds, strict=True):
         torch.testing.assert_close(measured, torch.full_like(measured, speed), rtol=1e-4, atol=0)
 
@@ -99,7 +103,7 @@ def test_concurrent_requests_develop_a_wake_once(
     with ThreadPoolExecutor(4) as pool:
         banks = list(pool.map(lambda _: load_wakes(RECIPE, tmp_path), range(4)))
     assert made == ["wake"] and path.is_file()
-    assert all(torch.equal(each.populations, bank.populations) for each in banks)
+    assert all(torch.equal(each.populations[0], bank.populations[0]) for each in banks)
 
 
 def test_cache_is_the_users_from_whichever_folder(

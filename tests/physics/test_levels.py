@@ -25,6 +25,7 @@ from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.flow import FlowParams, make_params, make_rest, make_uniform
 from fishrl.physics.levels.grids import fill_patches, make_patches, move_patch, plan_levels
+from fishrl.physics.levels.patch import RING
 from fishrl.physics.levels.transfer import coarsen
 from fishrl.physics.step import step
 from tests.physics.flows import ONE, advance, place_body
@@ -261,6 +262,30 @@ def test_refused_levels_name_what_works(changes, problem):
     given = {"width": 161, "height": 97, "tau": 0.6, "bodies": (FISH,), "levels": 2}
     with pytest.raises(ValueError, match=problem):
         FlowConfig(**given | changes)
+
+
+@pytest.mark.parametrize("levels", [2, 3, 4])
+def test_patch_that_stays_ends_where_bodies_must(levels):
+    config = FlowConfig(
+        width=321,
+        height=161,
+        tau=0.6,
+        bodies=(FISH, FISH),
+        levels=levels,
+        sponges=(Sponge(length=24),),
+        patches=(Patch.between((-50.0, -50.0), (999.0, 999.0)),),
+    )
+    (patch,), reach = config.refined, RING + config.skin.margin
+    low, high = (
+        [c + sign * 0.5 * s for c, s in zip(patch.centre, patch.size, strict=True)]
+        for sign in (-1, 1)
+    )
+    assert patch.bodies == (0, 1)
+    assert [n + reach for n in low] == list(config.body_bounds[0])
+    assert [n - reach for n in high] == list(config.body_bounds[1])
+    assert config.edges == ((0, 0), (320 - 24, 160))
+    with pytest.raises(ValueError, match="away from edges and sponges"):
+        replace(config, patches=(Patch.between((310.0, 0.0), (320.0, 50.0)),)).list_grids()
 
 
 def test_state_without_patches_is_refused():

@@ -45,6 +45,7 @@ MORE = {
 }
 
 
+@pytest.mark.parametrize("levels", [1, 2])
 @pytest.mark.parametrize(
     ("group", "name"),
     [
@@ -54,10 +55,10 @@ MORE = {
         if not name.endswith("-quick-v0")  # made by tests/benchmark
     ],
 )
-def test_every_preset_and_task_has_a_valid_flow(group: str, name: str) -> None:
-    settings = TRAINING.read([f"{group}={name}", *MORE.get(name, [])])
+def test_every_preset_and_task_has_a_valid_flow(group: str, name: str, levels: int) -> None:
+    settings = TRAINING.read([f"{group}={name}", *MORE.get(name, []), f"task.levels={levels}"])
     assert settings.preset == (name if group == "preset" else None)
-    assert make_task(name) == settings.task
+    assert make_task(name, levels=levels) == settings.task
     settings.task.flow_config()  # refuses what cannot be simulated
 
 

@@ -8,10 +8,11 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.command import Command
 from fishrl.envs.control.beats import MacroActions
 from fishrl.envs.control.control import Control
 from fishrl.envs.extensions import HasHistory
-from fishrl.envs.task import AbstractTask, Command
+from fishrl.envs.task import AbstractTask
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 

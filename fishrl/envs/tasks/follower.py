@@ -23,6 +23,7 @@ from fishrl.envs.task import AbstractTask
 from fishrl.physics.bodies.motion import Driven
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig, Sponge
+from fishrl.physics.levels.patch import RING, Patch
 
 
 class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
@@ -112,6 +113,15 @@ class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
         """The stream; places refer to the rear end of the leader."""
         speeds, x = (self.stream_speed_bl,), self.leader_x_bl
         return Stream(speeds_bl=speeds, has_disc=False, face_bl=x)
+
+    def list_patches(self) -> tuple[Patch, ...]:
+        """Return one patch that holds the leader and the follower in its range."""
+        if self.leader == "none":
+            return ()
+        reach = 0.75 + (self.travel + self.skin.margin + RING + 1) / self.body_length
+        x_bl, aside = (-1.25, self.range_bl[1] + reach), self.aside_bl + reach
+        box = self.frame("patch", x_bl=x_bl, aside_bl=aside)
+        return (Patch.between(box.low, box.high),)
 
     def flow_config(self) -> FlowConfig:
         """Return the stream with the follower and, if any, the leader."""

@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.command import Command
 from fishrl.envs.control import AbstractControlTask
 from fishrl.envs.extensions import HasFlowLabels, HasScene
 from fishrl.envs.lateral_line import LateralLine
@@ -19,9 +20,9 @@ from fishrl.envs.sensors import compute_clearance, wrap_angle
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, Steering
 from fishrl.envs.streams import AbstractStreamTask, Stream
-from fishrl.envs.task import Command
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
 from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.physics.levels.patch import RING, Patch
 
 
 class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScene):
@@ -91,6 +92,17 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
         corners = torch.cartesian_prod(torch.tensor([0.0, 1.0]), torch.tensor([0.0, 1.0])).double()
         others = torch.zeros(4, self.num_draws - 2, dtype=torch.float64)
         self.check_starts(self.starts_from(torch.cat((corners, others), 1)))
+
+    def list_patches(self) -> tuple[Patch, ...]:
+        """Return one patch behind a disc, which holds it and a fish with its nose in safety."""
+        if not self.discs:
+            return ()
+        area, disc = self.safe_area, max(self.stream.diameters_bl)
+        reach = 1.05 + (self.travel + self.skin.margin + RING + 1) / self.body_length
+        ahead = min(area.near_bl - reach, -0.5 * disc - 0.25)
+        aside = max(area.aside_bl + reach, 0.5 * disc + 0.25)
+        box = self.frame("patch", x_bl=(ahead, area.far_bl + reach), aside_bl=aside)
+        return (Patch.between(box.low, box.high),)
 
     @property
     def num_flows(self) -> int:

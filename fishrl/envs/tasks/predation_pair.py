@@ -12,6 +12,7 @@ from fishrl.envs.sensors import MIRRORED_TARGET, TARGET, compute_gap, sense_targ
 from fishrl.envs.starts import place_outline
 from fishrl.envs.tasks.predation import AbstractPredation
 from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.physics.levels.patch import Patch
 from fishrl.physics.placement import MIN_GAP
 
 
@@ -49,6 +50,10 @@ class PredationPair(AbstractPredation):
         nearest = torch.zeros(1, self.num_draws, dtype=torch.float64)
         nearest[0, 1] = 1.0 - 2.0**-53
         self.check_starts(self.starts_from(nearest))
+
+    def list_patches(self) -> tuple[Patch, ...]:
+        """Return one patch that holds the fish anywhere in the tank."""
+        return (Patch.between((0.0, 0.0), self.domain),)
 
     def check_starts(self, starts: TensorDictBase) -> None:
         """Also check that the fish do not touch."""

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
+from fishrl.memory import check_memory
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.fast.checks import check_tensor
@@ -131,14 +132,18 @@ class FlowBatch:
         """Return the place ``[B, G, 2]`` int64 of the first node of each grid, finest nodes."""
         return self.flow.clock.new_zeros(len(self.flow.clock), 1, 2, dtype=torch.int64)
 
-    def write_(self, rows: Tensor, f: Sequence[Tensor], corners: Tensor | None = None) -> None:
+    def write_(
+        self, rows: Tensor, f: Sequence[Tensor | None], corners: Tensor | None = None
+    ) -> None:
         """Set populations and places of each grid; see ``InPlaceSolver.set_populations_``.
 
         ``rows`` ``[N]`` are indices.
         """
+        (given,) = f
+        assert given is not None  # as checked: there is no parent
         for number in sorted(set((rows // self._size).tolist())):
             is_own = rows // self._size == number
-            own = f[0].to(self._populations)[is_own]
+            own = given.to(self._populations)[is_own]
             self.groups[number].write_(rows[is_own] % self._size, own)
 
     def populations(self) -> Tensor:
@@ -265,3 +270,27 @@ def make_fresh(configs: Sequence[FlowConfig], device: torch.device) -> FlowData:
     middle = torch.tensor([0.5 * configs[0].width, 0.5 * configs[0].height]).double()
     body = make_body(middle.to(device).expand(len(configs), 2), zero, zero)
     return FlowData(zero, make_params(configs, device), tuple(body for _ in configs[0].bodies))
+
+
+def list_configs(
+    config: FlowConfig | Sequence[FlowConfig],
+    num_envs: int | None,
+    device: torch.device | str = "cpu",
+) -> list[FlowConfig]:
+    """Return one configuration per flow.
+
+    Raises:
+        ValueError: if there are not ``num_envs`` of them, or their populations exceed the memory.
+    """
+    if isinstance(config, FlowConfig):
+        num_envs = 1 if num_envs is None else num_envs
+        if num_envs < 1:
+            raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
+        check_memory(device=device, flows=num_envs * config.num_bytes)
+        return [config] * num_envs
+    if not config or num_envs not in (None, len(config)):
+        raise ValueError(
+            f"num_envs = {num_envs} with {len(config)} configurations: give one per flow"
+        )
+    check_memory(device=device, flows=sum(one.num_bytes for one in config))
+    return list(config)

@@ -47,8 +47,8 @@ def check_tensor(
 
 
 def check_populations(
-    f: Tensor | Sequence[Tensor], corners: Tensor | None, config: FlowConfig, num: int
-) -> tuple[Sequence[Tensor], Tensor | None]:
+    f: Tensor | Sequence[Tensor | None], corners: Tensor | None, config: FlowConfig, num: int
+) -> tuple[Sequence[Tensor | None], Tensor | None]:
     """Return populations ``[num, Q, Y, X]`` of each grid, and corners ``[num, G, 2]`` or None."""
     every, sizes = [f] if isinstance(f, Tensor) else f, config.list_grids()
     if len(every) != len(sizes):
@@ -56,8 +56,9 @@ def check_populations(
             f"f has populations of {len(every)} grids, the flow has {len(sizes)}: give those of "
             "each, populations(grid=0), populations(grid=1) and so on"
         )
-    for own, (width, height, _) in zip(every, sizes, strict=True):
-        check_tensor("f", own, (num, Q, height, width))
+    for grid, (width, height, _) in enumerate(sizes):
+        if every[grid] is not None or not grid:
+            check_tensor("f", every[grid], (num, Q, height, width))
     if corners is not None:
         check_tensor("corners", corners, (num, len(sizes), 2), dtype=torch.int64)
     return every, corners

@@ -30,6 +30,7 @@ from fishrl.physics.flow import FlowConfig
 from fishrl.physics.geometry import locate_markers
 from fishrl.physics.levels.grids import Level, find_point, place_patch, plan_levels
 from fishrl.physics.levels.patch import RING
+from fishrl.physics.levels.transfer import fill_all
 
 Allocate = Callable[[int], Tensor]
 Pairs = list[tuple[Tensor, Tensor]]
@@ -292,11 +293,16 @@ class RefinedBatch:
         """Return ``FlowBatch.find_corners``."""
         return torch.stack([grid.find_corner() for grid in self._grids], 1)
 
-    def write_(self, rows: Tensor, f: Sequence[Tensor], corners: Tensor | None = None) -> None:
+    def write_(
+        self, rows: Tensor, f: Sequence[Tensor | None], corners: Tensor | None = None
+    ) -> None:
         """Set populations and places of each grid, as ``FlowBatch.write_``."""
         corners = self.find_corners()[rows] if corners is None else corners
         origins = find_origins(self._grids, corners)
         for grid, own, origin in zip(self._grids, f, origins, strict=True):
+            if own is None and grid.parent is not None:
+                tau = grid.level.convert(self.flow.params).tau[rows]
+                own = fill_all(grid.size, grid.parent.batch.populations()[rows], origin, tau)
             grid.batch.write_(rows, [own])
             grid.origin[rows] = origin
 

@@ -11,7 +11,7 @@ from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium
 from fishrl.physics.commands import Commands
-from fishrl.physics.fast.batch import set_rows_
+from fishrl.physics.fast.batch import list_configs, set_rows_
 from fishrl.physics.fast.checks import check_device, check_populations, check_tensor, read_frequency
 from fishrl.physics.fast.execution import Execution
 from fishrl.physics.fast.part import Part
@@ -20,7 +20,6 @@ from fishrl.physics.flow import (
     FlowConfig,
     change_stream_speed,
     compute_stream_speed,
-    list_configs,
 )
 from fishrl.physics.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
@@ -259,15 +258,15 @@ class InPlaceSolver:
 
     def set_populations_(
         self,
-        f: Tensor | Sequence[Tensor],
+        f: Tensor | Sequence[Tensor | None],
         rows: Tensor | None = None,
         *,
         corners: Tensor | None = None,
     ) -> None:
         """Set all flows, or the N of ``rows`` ``[B]``, to shifted populations ``[N, Q, Y, X]``.
 
-        With levels give those of each grid, coarsest first; patches move to their ``corners``
-        ``[N, G, 2]``, or stay where they are.
+        With levels give those of each grid, coarsest first, or None for what its parent fills;
+        patches move to their ``corners`` ``[N, G, 2]``, or stay where they are.
         """
         chosen = self._choose(rows).nonzero()[:, 0]
         self._batch.write_(chosen, *check_populations(f, corners, self.config, len(chosen)))

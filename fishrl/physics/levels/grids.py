@@ -48,7 +48,7 @@ class Level:
     @property
     def bodies(self) -> tuple[int, ...]:
         """Numbers of the bodies that are in this grid itself."""
-        return self.patch.bodies if self.patch and not self.patches else ()
+        return self.patch.numbers if self.patch and not self.patches else ()
 
     @property
     def follows(self) -> bool:
@@ -94,8 +94,8 @@ def plan_levels(config: FlowConfig) -> Level:
 def _plan_patch(config: FlowConfig, patch: Patch) -> Level:
     """Return the coarsest grid of a patch, with the finer ones in it."""
     inside: tuple[Level, ...] = ()
-    sizes = measure_patch(patch, config.bodies, config.levels)
-    leader = config.bodies[patch.bodies[0]] if patch.bodies else None
+    sizes = measure_patch(patch, config.bodies, config.levels, config.list_bounds())
+    leader = config.bodies[patch.numbers[0]] if patch.bodies else None
     for number, (width, height) in reversed(list(enumerate(sizes))):
         if number:
             parent = sizes[number - 1]
@@ -103,7 +103,7 @@ def _plan_patch(config: FlowConfig, patch: Patch) -> Level:
             high = parent[0] - 1 - CLEARANCE, parent[1] - 1 - CLEARANCE
         else:
             low, high = config.list_bounds()
-        bodies = () if inside else tuple(config.bodies[index] for index in patch.bodies)
+        bodies = () if inside else tuple(config.bodies[index] for index in patch.numbers)
         grid = replace(
             config,
             width=width,
@@ -155,7 +155,7 @@ def find_point(level: Level, bodies: Sequence[BodyState], like: Tensor) -> Tenso
     if level.leader is None or level.patch.centre is not None:
         centre = torch.tensor(level.patch.centre, dtype=torch.float64, device=like.device)
         return centre.expand(len(like), 2)
-    state = bodies[level.patch.bodies[0]]
+    state = bodies[level.patch.numbers[0]]
     return find_middle(state.position, state.heading, level.ahead)
 
 

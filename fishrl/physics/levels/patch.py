@@ -1,8 +1,9 @@
 """Where the grid is finer: settings of patches, and their sizes on each level."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import ceil
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import Field, NonNegativeInt, PositiveFloat
 
@@ -18,27 +19,43 @@ RING = 2
 _MARGIN_BL, _MARGIN_NODES = 0.25, 8
 
 
+#: First and last node (x, y) of the coarsest level that patches may cover.
+Bounds = tuple[tuple[int, int], tuple[int, int]]
+
+
 class Patch(Settings):
     """Where a flow with ``levels`` is fine: around a body, which it follows, or where it stays.
 
-    On each coarser level the patch is larger by its margin on each side, a quarter of the first
-    body's length or eight nodes of the next coarser level, whichever is more. Lengths are in nodes
-    of the finest level.
+    On each coarser level the patch is larger by its margin on each side: eight nodes of the next
+    coarser level, or if that is more, and it follows, a quarter of the first body's length. Lengths
+    are in nodes of the finest level. A patch that stays ends before edges and sponges.
 
     Args:
-        bodies: those inside, by their number; it follows the first if it moves.
+        bodies: those inside, by their number; None is all. It follows the first if it moves.
         size: (width, height) of the finest level; None is a square that holds the first body at
             any heading, with the margin all round.
         centre: (x, y) of a patch that stays; None follows.
     """
 
-    bodies: tuple[NonNegativeInt, ...] = (0,)
+    bodies: tuple[NonNegativeInt, ...] | None = (0,)
     size: tuple[PositiveFloat, PositiveFloat] | None = None
     centre: tuple[Annotated[float, Field()], Annotated[float, Field()]] | None = None
 
     def __post_init__(self) -> None:
-        if not self.bodies and (self.size is None or self.centre is None):
+        if self.bodies == () and (self.size is None or self.centre is None):
             raise ValueError("a Patch without bodies needs both size and centre")
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Numbers of the bodies inside, where ``fit_patch`` has told all."""
+        return self.bodies or ()
+
+    @classmethod
+    def between(cls, low: tuple[float, float], high: tuple[float, float]) -> Self:
+        """Return a patch that stays between two corners (x, y) and holds all bodies."""
+        (left, bottom), (right, top) = low, high
+        centre = 0.5 * (left + right), 0.5 * (bottom + top)
+        return cls(bodies=None, size=(right - left, top - bottom), centre=centre)
 
 
 def default_patches(bodies: Sequence[BodyConfig]) -> tuple[Patch, ...]:
@@ -46,21 +63,58 @@ def default_patches(bodies: Sequence[BodyConfig]) -> tuple[Patch, ...]:
     return tuple(Patch(bodies=(index,)) for index in range(len(bodies)))
 
 
+def inset(level: int, num_levels: int) -> int:
+    """Return how far a patch's grid keeps from that of the coarsest patch, finest nodes.
+
+    ``level`` counts from the finest, 0.
+    """
+    return int(CLEARANCE * (2 ** (num_levels - 1) - 2 ** (level + 1))) if num_levels > 1 else 0
+
+
+def fit_patch(patch: Patch, num_bodies: int, num_levels: int, bounds: Bounds) -> Patch:
+    """Return a patch with the numbers of its bodies; if it stays, cut off at ``bounds``."""
+    patch = replace(
+        patch, bodies=tuple(range(num_bodies)) if patch.bodies is None else patch.bodies
+    )
+    if patch.size is None or patch.centre is None:
+        return patch
+    unit, least = 2 ** (num_levels - 1), inset(0, num_levels)
+    sides = []
+    for at, size, first, last in zip(patch.centre, patch.size, *bounds, strict=True):
+        ends = max(at - 0.5 * size, unit * first + least), min(at + 0.5 * size, unit * last - least)
+        if ends[0] >= ends[1]:
+            raise ValueError(
+                f"{patch} lies beyond the {unit * first + least} to {unit * last - least} nodes "
+                "away from edges and sponges: move it in, or enlarge the domain"
+            )
+        sides.append(ends)
+    (left, right), (bottom, top) = sides
+    return replace(Patch.between((left, bottom), (right, top)), bodies=patch.bodies)
+
+
 def measure_patch(
-    patch: Patch, bodies: Sequence[BodyConfig], num_levels: int
+    patch: Patch, bodies: Sequence[BodyConfig], num_levels: int, bounds: Bounds
 ) -> list[tuple[int, int]]:
-    """Return (width, height) in its own nodes on each level but the root, coarsest first."""
-    length = bodies[patch.bodies[0]].size if patch.bodies else 0.0
+    """Return (width, height) in its own nodes on each level but the root, coarsest first.
+
+    ``patch`` is as ``fit_patch`` returns it. What stays takes the margin that there is.
+    """
+    length = bodies[patch.numbers[0]].size if patch.bodies else 0.0
     if patch.size is None:
         side = length + 2.0 * max(_MARGIN_BL * length, 2.0 * _MARGIN_NODES)
         width, height = side, side
     else:
         width, height = patch.size
+    stays, unit = patch.centre is not None, 2 ** (num_levels - 1)
+    room = [unit * (last - first) for first, last in zip(*bounds, strict=True)]
     sizes = []
     for level in range(num_levels - 1):  # finest first
         spacing = 2**level
+        if stays:
+            most = [n - 2 * inset(level, num_levels) for n in room]
+            width, height = min(width, most[0]), min(height, most[1])
         cells = ceil(width / (2 * spacing)), ceil(height / (2 * spacing))
         sizes.append((2 * cells[0] + 1, 2 * cells[1] + 1))
-        margin = max(_MARGIN_BL * length, 4.0 * _MARGIN_NODES * spacing)
+        margin = max(0.0 if stays else _MARGIN_BL * length, 4.0 * _MARGIN_NODES * spacing)
         width, height = (2 * spacing * n + 2.0 * margin for n in cells)
     return sizes[::-1]
