@@ -331,6 +331,11 @@ class FlowEnv(EnvBase):
         }
         return TensorDict(written, self.batch_size, device=self.device)
 
+    @property
+    def seed(self) -> int:
+        """Seed of the starts."""
+        return self._seed
+
     def _set_seed(self, seed: int | None) -> None:
         """Restart the sequence of starts from ``seed`` (0 if None) at the next reset."""
         self._seed = 0 if seed is None else seed

@@ -94,8 +94,9 @@ class FlowVectorEnv(VectorEnv):
     ) -> tuple[Array, dict[str, Any]]:
         """Start new episodes; return observations ``[B, ...]`` and infos of all rows.
 
-        ``seed``, row and number of the episode determine each later start. ``options`` may hold
-        ``reset_mask`` ``[B]`` bool, the rows to reset.
+        ``seed``, row and number of the episode determine each later start; without one, the one
+        drawn by ``make`` continues, which infos name. ``options`` may hold ``reset_mask`` ``[B]``
+        bool, the rows to reset.
 
         Raises:
             ValueError: for an invalid mask.
@@ -114,7 +115,10 @@ class FlowVectorEnv(VectorEnv):
             rows = _read("reset_mask", options["reset_mask"], (self.num_envs,), np.bool_)
             self._state = self._reset_rows(self._need_state(), rows)
             self._is_over = self._is_over & ~rows
-        return _observe(self._state), self._tell(self._state)
+        every, seed = np.ones(self.num_envs, dtype=np.bool_), self.env.base_env.seed
+        return _observe(self._state), self._tell(self._state) | _with_rows(
+            {"seed": np.full(self.num_envs, seed, dtype=np.int64)}, every
+        )
 
     def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """Advance all rows by one decision, given legal actions ``[B, ...]``.

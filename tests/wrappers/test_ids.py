@@ -54,7 +54,9 @@ def test_presets_have_ids() -> None:
 
 def test_environments_without_seed_draw_their_own() -> None:
     first, other = (gymnasium.make("fishrl/Predation-v0", **SETTINGS) for _ in range(2))
-    assert not np.array_equal(first.reset()[0], other.reset()[0])
+    (start, info), (another, _) = first.reset(), other.reset()
+    assert not np.array_equal(start, another)
+    assert np.array_equal(start, other.reset(seed=int(info["seed"]))[0])
     assert np.array_equal(first.reset(seed=1)[0], other.reset(seed=1)[0])
 
 

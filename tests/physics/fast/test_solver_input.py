@@ -1,13 +1,19 @@
 """Arguments that a solver refuses."""
 
+import copy
+import logging
 import math
 from collections.abc import Callable
 
 import pytest
 import torch
 
+from fishrl.envs import Flows, Predation, make_env
 from fishrl.physics import InPlaceSolver
+from fishrl.physics.fast.batch import FlowBatch
+from fishrl.physics.fast.execution import Execution
 from fishrl.physics.flow import make_params
+from tests.envs.test_real_flow import TINY
 from tests.physics.fast.test_solver import HEADINGS, STARTS, TANK, TURN, make_solver
 
 EVERY = torch.tensor([True, True, True])
@@ -50,3 +56,24 @@ def test_a_frequency_is_a_finite_number_or_one_for_each_flow(frequency: object) 
     """Its bound is tested with those of commands."""
     with pytest.raises(ValueError, match=r"frequency = nan|frequency has shape \(3,\)"):
         InPlaceSolver(config=TANK, num_envs=2, frequency=frequency, compile=False)
+
+
+def test_environment_with_workers_says_how_it_is_copied() -> None:
+    env = make_env(task=Predation(**TINY), flows=Flows(num_envs=2, compile=False, num_workers=2))
+    with pytest.raises(TypeError, match=r"make another one, and load_state_dict\(state_dict\(\)\)"):
+        copy.deepcopy(env)
+    env.close()
+
+
+def test_compilation_and_idle_fish_are_logged_once(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solver = InPlaceSolver(config=TANK, num_envs=1, num_workers=0)
+    monkeypatch.setattr(Execution, "_compile_here", lambda _: None)
+    monkeypatch.setattr(FlowBatch, "is_new", lambda _: True)
+    monkeypatch.setattr(FlowBatch, "advance_", lambda *_: None)
+    with caplog.at_level(logging.WARNING):
+        for _ in range(2):
+            solver.advance_(2)
+    said = sorted(record.getMessage().partition(":")[0] for record in caplog.records)
+    assert said == ["compiling the flow step", "the fish does not beat"]
