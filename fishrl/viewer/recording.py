@@ -19,6 +19,7 @@ from fishrl.envs.extensions import HasScene, find_extension, name_flow
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.scene import Choice, Ending, Frame, Panel, Scene
 from fishrl.envs.task import AbstractTask
+from fishrl.torch_state import one_thread
 
 
 def make_env_scene(
@@ -83,7 +84,8 @@ def read_values(
         chosen = torch.zeros(base.batch_size, dtype=torch.bool)
         chosen[list(rows)] = True
     shown = [scene.field.key]
-    return views.read_scene(base.task, base.solver, base.start, fields=shown, rows=chosen)
+    with one_thread():  # several would wait for each other on a busy machine
+        return views.read_scene(base.task, base.solver, base.start, fields=shown, rows=chosen)
 
 
 def list_reasons(task: AbstractTask, now: TensorDictBase) -> list[str]:

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import Flows, KarmanGait, Oracle, Predation, make_env
+from fishrl.envs import Flows, KarmanGait, Oracle, Predation, make_env, views
 from fishrl.envs.scene import Ending, Frame
 from fishrl.viewer import Recording, make_env_scene, name_flows, record_episodes
 from fishrl.viewer.recording import Recorder
@@ -44,6 +44,23 @@ class Recorded:
 def at(*times: float) -> Any:
     """Return times in T with a tolerance of two steps, of which a period has 106."""
     return pytest.approx(times, abs=0.02)
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_frames_are_read_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    read, threads, before = views.read_scene, list[int](), torch.get_num_threads()
+
+    def count(*arguments: Any, **named: Any) -> dict[str, torch.Tensor]:
+        threads.append(torch.get_num_threads())
+        return read(*arguments, **named)
+
+    monkeypatch.setattr(views, "read_scene", count)
+    torch.set_num_threads(2)
+    try:
+        Recorded(frames_per_T=2)
+        assert (threads, torch.get_num_threads()) == ([1], 2)
+    finally:
+        torch.set_num_threads(before)
 
 
 @pytest.mark.usefixtures("kinematic")
