@@ -38,11 +38,12 @@ class Field:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """A curve ``[N, 2]``: closed and filled, or an open line such as a midline."""
+    """A curve ``[N, 2]``: closed, such as a body, or an open line, such as a midline."""
 
     key: str  #: key of its tensor
     colour: Colour  #: RGB colour of the line and the filling
-    is_closed: bool = True  #: whether the last point joins the first; a closed curve is filled
+    is_closed: bool = True  #: whether the last point joins the first
+    is_filled: bool = True  #: whether a closed curve is filled
     order: float = 4.0  #: curves of higher order lie above
 
 

@@ -20,6 +20,7 @@ from fishrl.physics.units import Scales
 #: Fields of every scene.
 FIELDS = ("vorticity", "pressure", "speed")
 FISH, MIDLINE, OBSTACLE = (32, 37, 43), (240, 240, 240), (110, 110, 110)
+PATCH = (150, 110, 170)
 #: Length of an arrow for a force of rho U^2 L, body lengths, with the fastest stream U.
 _FORCE_BL = 3.0
 _SEPARATOR = " · "  # of the parts of a title
@@ -46,11 +47,12 @@ def make_scene(task: AbstractTask) -> Scene:
     extension = find_extension(task, HasScene)
     config, scales, num_fish = task.flow_config(), task.scales, task.num_fish
     obstacles, margin = _name_obstacles(config), task.wall_margin
+    (left, bottom), (right, top) = config.edges
     force_bl = _FORCE_BL / _find_fastest(config, scales) ** 2
     edges = Area(
         key="edges",
-        low=(margin, margin),
-        high=(config.width - 1.0 - margin, config.height - 1.0 - margin),
+        low=(left + margin, bottom + margin),
+        high=(right - margin, top - margin),
     )
     scene = Scene(
         body_length=float(scales.body_length),
@@ -58,7 +60,7 @@ def make_scene(task: AbstractTask) -> Scene:
         height=config.height,
         title=_describe(task, extension),
         fields=make_fields(config, scales),
-        curves=_draw_bodies(num_fish, obstacles),
+        curves=(*_draw_bodies(num_fish, obstacles), *_draw_patches(config)),
         arrows=_draw_arrows(config, scales.body_length, ["fish", *obstacles], force_bl=force_bl),
         trails=tuple(Trail(key=name_fish("head", i)) for i in range(num_fish)),
         areas=(edges,),
@@ -91,6 +93,22 @@ def _draw_bodies(num_fish: int, obstacles: Sequence[str]) -> tuple[Curve, ...]:
         ),
         *(Curve(key=key, colour=OBSTACLE) for key in obstacles[num_fish - 1 :]),
     )
+
+
+def _draw_patches(config: FlowConfig) -> tuple[Curve, ...]:
+    """Return the outlines of finer grids, with levels."""
+    names = (f"patch_{number}" for number in range(1, len(config.list_grids())))
+    return tuple(Curve(key=name, colour=PATCH, is_filled=False, order=3.0) for name in names)
+
+
+def _read_patches(solver: InPlaceSolver) -> dict[str, Tensor]:
+    """Return the corners ``[B, 4, 2]`` of finer grids, counter-clockwise."""
+    corners, found = solver.corners.double(), dict[str, Tensor]()
+    around = corners.new_tensor([[0, 0], [1, 0], [1, 1], [0, 1]])
+    for number, (width, height, spacing) in enumerate(solver.config.list_grids()[1:], 1):
+        size = spacing * corners.new_tensor([width - 1, height - 1])
+        found[f"patch_{number}"] = corners[:, number, None] + size * around
+    return found
 
 
 def _draw_arrows(
@@ -242,6 +260,7 @@ def read_scene(
     extension = find_extension(task, HasScene)
     scales, num_fish = task.scales, task.num_fish
     values = compute_fields(solver, scales, keys=fields, rows=rows)
+    values |= _read_patches(solver)
     for index, name in enumerate(("fish", *_name_obstacles(solver.config))):
         values |= _read_body(solver, index, name, scales)
     every = [_read_fish(solver, index, scales) for index in range(num_fish)]

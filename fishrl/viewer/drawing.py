@@ -137,7 +137,9 @@ class Drawing:
     def _draw_curve(self, world: str, curve: Curve, frame: Frame) -> None:
         placed = self._place(frame.values[curve.key])
         lines, width = [placed], 0.35
-        if curve.is_closed:
+        if curve.is_closed and not curve.is_filled:
+            lines = [np.concatenate((placed, placed[:1]))]
+        elif curve.is_closed:
             # lines from side to side fill the body: rerun has no filled 2-D polygon
             half = len(placed) // 2
             ribs = np.stack((placed[1:half], placed[: len(placed) - half : -1]), 1)

@@ -140,10 +140,11 @@ class FlowAxes:
         return placed
 
     def _add_body(self, curve: Curve) -> Callable[[Frame], None]:
-        body = Polygon(
-            np.zeros((3, 2)), closed=True, facecolor=_scale(curve.colour), edgecolor="white",
-            lw=0.4, zorder=3,
-        )  # fmt: skip
+        colour = _scale(curve.colour)
+        looks: dict[str, Any] = {"facecolor": colour, "edgecolor": "white", "lw": 0.4, "zorder": 3}
+        if not curve.is_filled:
+            looks |= {"facecolor": "none", "edgecolor": colour, "ls": "--", "lw": 0.7}
+        body = Polygon(np.zeros((3, 2)), closed=True, **looks)
         self.axes.add_patch(body)
         return lambda now: body.set_xy(self._place(now.values[curve.key]))
 

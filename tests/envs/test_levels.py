@@ -14,6 +14,7 @@ from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.tasks.predation_pair import PredationPair
+from fishrl.envs.views import make_scene, read_scene
 from fishrl.envs.wakes import WakeBank, WakeRecipe
 from fishrl.physics import FlowConfig, Patch
 from tests.envs.conftest import make_streams, reset_rows
@@ -87,6 +88,19 @@ def test_rows_of_every_task_reset_diverge_and_resume_alone_on_levels(
     _assert_equal_rows(before, solver.state_dict())
     assert all(value.isfinite().all() for value in solver.state_dict().values())
     assert not reset["done"].any() and not solver.is_diverged().any()
+
+
+@pytest.mark.parametrize("task", EVERY[:2], ids=lambda task: type(task).__name__)
+def test_outline_of_the_patch_is_drawn_and_holds_the_fish(task: AbstractTask) -> None:
+    env = FlowEnv(task=task, flows=Flows(num_envs=2, compile=False, num_workers=0), seed=1)
+    (outline,) = [curve for curve in make_scene(task).curves if not curve.is_filled]
+    corners = read_scene(task, env.solver, env.start)[outline.key]
+    low, high = corners[:, :1], corners[:, 2:3]
+    (_, (width, height, _)) = task.flow_config().list_grids()
+    assert (high - low == torch.tensor([width - 1, height - 1])).all()
+    for index in range(task.num_fish):
+        markers = env.solver.markers(index)
+        assert ((markers > low) & (markers < high)).all()
 
 
 def _assert_equal_rows(one: Mapping[str, Tensor], other: Mapping[str, Tensor]) -> None:

@@ -105,7 +105,7 @@ def write_trajectories(recordings: Sequence[Recording], path: Path) -> None:
     if scene.goal is not None:
         words += [f"dots: {scene.goal.name}", f"circle: reach of the {scene.goal.name}"]
     with panels(path, size=(9, 0.5 + 6.6 * y / x), has_grid=False) as [[axes]]:
-        bodies = [curve for curve in scene.curves if curve.is_closed]
+        bodies = [curve for curve in scene.curves if curve.is_closed and curve.is_filled]
         for body in bodies[len(scene.trails) :]:  # after the fish
             outline = recordings[0].stack_bl(body.key)[0].numpy()
             axes.add_patch(Polygon(outline, closed=True, facecolor="0.45", lw=0))
