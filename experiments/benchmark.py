@@ -31,6 +31,7 @@ GROUPS = {
     "solver": flows.make_flows,
     "coupled": flows.make_swimmers,
     "gpu": flows.make_gpu,
+    "levels": flows.make_levels,
     "env": environment.make_overhead,
     "train": environment.make_training,
     "steps": steps.make_steps,

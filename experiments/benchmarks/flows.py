@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from math import pi
@@ -19,15 +20,24 @@ from fishrl.physics.cases import PERIODIC, make_swimmer_config
 
 
 def make_solver(
-    body_length: int, *, has_fish: bool, boundaries: Boundaries | None = None, **options: Any
+    body_length: int,
+    *,
+    has_fish: bool,
+    boundaries: Boundaries | None = None,
+    levels: int = 1,
+    **options: Any,
 ) -> InPlaceSolver:
     """Return compiled flows in the paper's tank, 10 L x 5 L, with a swimming fish in each or none.
 
     It has walls unless ``boundaries`` are given. Re = 70 L, so that the relaxation time is one;
     ``options`` are those of ``InPlaceSolver``.
     """
-    scales = Scales.from_budget(body_length=body_length, reynolds=70.0 * body_length)
+    reynolds, unit = 70.0 * body_length, 2**levels
+    scales = Scales.from_budget(body_length=body_length, reynolds=reynolds, multiple=unit)
     changes: Any = {} if has_fish else {"bodies": ()}
+    if levels > 1:
+        size = {"width": 10 * body_length + 1, "height": 5 * body_length + 1}
+        changes |= {"levels": levels, **size}
     if boundaries:
         changes["boundaries"] = boundaries
     config = make_swimmer_config(scales, **changes)
@@ -118,6 +128,58 @@ def make_swimmers(settings: BenchmarkSettings, *, has_fish: bool = True) -> list
             if has_fish:
                 cases[-1].facts["period"] = 1.0 / float(solver.body.frequency[0])
     return cases
+
+
+#: Body lengths of the levels' benchmarks, over that of the large flow, and their levels.
+LEVELS = ((1.0, 1), (1.0, 3), (0.5, 1), (0.64, 1), (0.64, 2))
+
+
+def make_levels(
+    settings: BenchmarkSettings, *, batches: Sequence[int] = (1, 16), **options: Any
+) -> list[Benchmark]:
+    """Return benchmarks of flows that are fine near the fish alone, and of uniform ones."""
+    cases = []
+    for scale, levels in LEVELS:
+        length = round(scale * settings.body_length)
+        for num_envs in batches:
+            given = {"num_envs": num_envs, "num_workers": None} | options
+            solver = make_solver(length, has_fish=True, levels=levels, **given)
+            case = make_case(solver, f"levels/{num_envs}, {length}, {levels}", f"L = {length}")
+            case.scope = f"{levels} levels" if levels > 1 else "uniform"
+            unit, period = 2**levels, 1.0 / float(solver.body.frequency[0])
+            case.advance, case.facts["period"] = partial(advance_pairs, solver, unit), period / unit
+            if num_envs == 1 and levels > 1:
+                case.prepare = partial(clock_interface, case, solver, list_interface(solver))
+            cases.append(case)
+    return cases
+
+
+def advance_pairs(solver: InPlaceSolver, unit: int, num_pairs: int) -> None:
+    """Advance by pairs of steps of the coarsest level, each ``unit`` steps of the finest."""
+    solver.advance_(unit * num_pairs)
+
+
+def list_interface(solver: InPlaceSolver) -> list[Callable[[], object]]:
+    """Return the calls between levels of a pair of steps, without changing the flow."""
+    before, parts = solver.state_dict(), solver.list_calls()
+    wanted = [(part, own) for part, own in parts if part.name in ("filling", "restriction")]
+    calls = [call for part, own in wanted for each in own for call in part.record(each)]
+    solver.load_state_dict(before)
+    return calls
+
+
+def clock_interface(
+    case: Benchmark, solver: InPlaceSolver, calls: Sequence[Callable[[], object]]
+) -> None:
+    """Measure the seconds of ``list_interface``, the least of a few, without changing the flow."""
+    before, spent = solver.state_dict(), []
+    for _ in range(5):
+        start = time.perf_counter()
+        for call in calls:
+            call()
+        spent.append(time.perf_counter() - start)
+    case.measured.setdefault("interface", []).append(min(spent))
+    solver.load_state_dict(before)
 
 
 def make_flows(settings: BenchmarkSettings) -> list[Benchmark]:

@@ -95,6 +95,21 @@ def _price(case: Benchmark, results: Results) -> str:
     return f"{seconds * case.facts['period'] / case.facts['flows']:.2f}"
 
 
+def _over_first(case: Benchmark, results: Results) -> str:
+    """Return the least time of a beat over that of the first flow of as many, a uniform one."""
+
+    def time_beat(each: Benchmark) -> float:
+        return float(min(each.measured["seconds"]) * each.facts["period"])
+
+    same = (c for c in results.of_group(case.group) if c.facts["flows"] == case.facts["flows"])
+    return f"{time_beat(case) / time_beat(next(same)):.3f}"
+
+
+def _share(case: Benchmark, results: Results) -> str | None:
+    own = case.measured.get("interface")
+    return f"{100.0 * min(own) / min(case.measured['seconds']):.0f}" if own else None
+
+
 def _sum_least(names: Sequence[str], case: Benchmark) -> float:
     return sum(min(case.measured[name]) for name in names if name in case.measured)
 
@@ -132,6 +147,11 @@ COLUMNS: dict[str, Cell] = {
     "step / before": partial(_over_before, ["seconds"]),
     "bodies / before": partial(_over_before, BODY_PARTS),
     "s / T": lambda case, _: f"{min(case.measured['seconds']) * case.facts['period']:.3f}",
+    "least s / T": lambda case, _: (
+        f"{min(case.measured['seconds']) * case.facts['period'] / case.facts['flows']:.3f}"
+    ),
+    "/ first": _over_first,
+    "interface, %": _share,
     "decisions / s": lambda case, _: (
         f"{case.facts['flows'] / find_quartiles(case.measured['seconds']).median:.0f}"
     ),
@@ -147,6 +167,12 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("probe", "Memory bandwidth", "", SPEED),
     ("solver", "Flow without bodies", "", (*SPEED, MEMORY)),
     ("coupled", "A swimming fish in each flow", "T is a tail beat.", (*SPEED, MEMORY, *PRICE)),
+    (
+        "levels",
+        "Levels",
+        "Least times per beat T and flow; / first: over the first row with as many flows.",
+        ("case", "what", "least s / T", "/ first", "interface, %"),
+    ),
     ("gpu", "GPU", "", GPU_SPEED),
     ("env", "Environment", "Bursts of one action, which lasts a tail beat T.", OUTSIDE),
     ("train", "Training", "", ("case", "ms", "share of learning, %")),
@@ -163,7 +189,7 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
 
 #: Marks on the page, and the groups whose tables stand between them; goals summarise the others.
 PRESETS, MEASURED = "presets", "measured"
-PAGE = {PRESETS: ("steps", "decisions"), MEASURED: ("coupled", "gpu")}
+PAGE = {PRESETS: ("steps", "levels", "decisions"), MEASURED: ("coupled", "gpu")}
 
 
 def render_results(results: Results, mark: str | None = None) -> str:

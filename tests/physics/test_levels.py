@@ -26,7 +26,7 @@ from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.flow import FlowParams, make_params, make_rest, make_uniform
 from fishrl.physics.levels.grids import fill_patches, make_patches, move_patch, plan_levels
 from fishrl.physics.levels.patch import RING
-from fishrl.physics.levels.transfer import coarsen
+from fishrl.physics.levels.transfer import coarsen, fill, fill_all, restrict
 from fishrl.physics.step import step
 from tests.physics.flows import ONE, advance, place_body
 
@@ -73,6 +73,31 @@ def make_swimmer(length: int = 32, **changes: object) -> FlowConfig:
     scales = replace(SCALES, body_length=length, period=round(360 * length / 32))
     given = {"width": 161, "height": 97, "motion": Free()}
     return make_swimmer_config(scales, **given | changes)
+
+
+@pytest.mark.parametrize(("width", "height"), [(31, 25), (9, 17), (17, 9), (9, 9)])
+def test_ring_and_parent_take_what_the_other_has_there(width: int, height: int) -> None:
+    random = torch.Generator().manual_seed(width)
+    patch, parent = (
+        0.01 * torch.randn(2, 9, *size, dtype=torch.float64, generator=random)
+        for size in ((height, width), (30, 40))
+    )
+    origin, tau = torch.tensor([[5, 7], [12, 3]]), torch.tensor([0.6, 0.7], dtype=torch.float64)
+    filled, whole = (
+        fill(patch, parent, origin, tau),
+        fill_all((width, height), parent, origin, tau),
+    )
+    ring = torch.ones(height, width, dtype=torch.bool)
+    ring[2:-2, 2:-2] = False
+    assert (filled - whole)[..., ring].abs().max() < 1e-16
+    assert torch.equal(filled[..., ~ring], patch[..., ~ring])
+    same = restrict(parent, whole, origin, tau)
+    assert (same - parent).abs().max() < 1e-16
+    changed = restrict(parent, patch, origin, tau) != parent
+    for row, (x, y) in enumerate(origin.tolist()):
+        own = slice(y + 2, y + height // 2 - 1), slice(x + 2, x + width // 2 - 1)
+        assert changed[row, :, *own].all()
+    assert changed.sum() == 2 * 9 * (height // 2 - 3) * (width // 2 - 3)
 
 
 @pytest.mark.parametrize("levels", [2, 3])
@@ -246,6 +271,11 @@ def test_stream_enters_at_the_speed_of_one_level():
 
 
 FISH = Fish(body_length=16)
+
+
+def test_patch_without_a_node_for_its_parent_is_refused() -> None:
+    with pytest.raises(ValueError, match="greater than or equal to 8"):
+        Patch(bodies=(), size=(7.0, 20.0), centre=(80.0, 48.0))
 
 
 @pytest.mark.parametrize(

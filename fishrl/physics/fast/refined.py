@@ -83,23 +83,31 @@ class RefinedBatch:
         grid = Grid(levels[0], batch, origin, parent)
         if parent is not None:
             size = levels[0].frame.size
-            whole = [make_restriction(*size, is_whole=is_whole) for is_whole in (False, True)]
+            whole = [make_restriction(is_whole=is_whole) for is_whole in (False, True)]
             grid.transfers = (make_filling(*size), *whole)
         for number in range(len(levels[0].patches)):
             inside = [level.patches[number] for level in levels]
             grid.inside.append(self._add(inside, grid, allocate))
         return grid
 
-    def _list_pair(self, number: int) -> list[tuple[Step, Sequence[Tensor]]]:
-        """Return what an even and an odd step of the coarsest level consist of."""
-        size = len(self._root.batch.first.nodes[0])
-        block = torch.zeros(len(self._grids), size, 2, dtype=torch.int64)
-        by = iter(block)
+    def _bind_choices(self, number: int, by: Tensor) -> tuple[list[Chain], Calls]:
+        """Return a group's patches that follow bodies, and what chooses their moves ``by``."""
+        each = iter(by)
         chains = [
-            Chain([find_moving(grid, number, next(by)) for grid in chain]) for chain in self._moving
+            Chain([find_moving(grid, number, next(each)) for grid in own]) for own in self._moving
         ]
         bound = zip(self._choices, chains, strict=True)
-        choices = [(part, part.bind(chain)) for part, chain in bound]
+        return chains, [(part, part.bind(chain)) for part, chain in bound]
+
+    def _make_moves(self) -> Tensor:
+        """Return memory for the moves of each grid of a group."""
+        size = len(self._root.batch.first.nodes[0])
+        return torch.zeros(len(self._grids), size, 2, dtype=torch.int64)
+
+    def _list_pair(self, number: int) -> list[tuple[Step, Sequence[Tensor]]]:
+        """Return what an even and an odd step of the coarsest level consist of."""
+        by = self._make_moves()
+        chains, choices = self._bind_choices(number, by)
         steps: list[tuple[Step, Sequence[Tensor]]] = []
         for parity in (0, 1):
             steps += [(part, arguments[parity]) for part, arguments in choices]
@@ -110,7 +118,7 @@ class RefinedBatch:
             ]
             if chains:
                 located = self._begins[number]
-                steps.append((Shifting(chains, block, Repeater(fills), located), ()))
+                steps.append((Shifting(chains, by, Repeater(fills), located), ()))
             steps += self._list_step(self._root, number, parity)
         return steps
 
@@ -134,13 +142,10 @@ class RefinedBatch:
                 found.append((stepper.locate, group.arguments[stepper.locate][1]))
         return found
 
-    def _list_transfers(self) -> list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]:
+    def _list_transfers(self) -> Calls:
         """Return the parts between grids with the first group's arguments."""
         own = [(part, args) for (part, number), args in self._arguments.items() if number == 0]
-        by = torch.zeros_like(self._root.origin[: len(self._root.batch.first.nodes[0])])
-        chains = [Chain([find_moving(g, 0, by) for g in chain]) for chain in self._moving]
-        bound = zip(self._choices, chains, strict=True)
-        return [*own, *((part, part.bind(chain)) for part, chain in bound)]
+        return [*own, *self._bind_choices(0, self._make_moves())[1]]
 
     def compile(self, *, with_check: bool, helps: bool = False) -> None:
         """Compile all parts of all grids."""
@@ -159,9 +164,10 @@ class RefinedBatch:
         return own or not all(part.is_stored(args[0]) for part, args in self._list_transfers())
 
     def list_calls(self) -> Calls:
-        """Return the parts of all grids, and those between them."""
-        own = [call for grid in self._grids for call in grid.batch.list_calls()]
-        return [*own, *self._list_transfers()]
+        """Return ``InPlaceSolver.list_calls``, of a step of the coarsest level."""
+        even, odd = (self._list_step(self._root, 0, parity) for parity in (0, 1))
+        own = [(part, (at, after)) for (part, at), (_, after) in zip(even, odd, strict=True)]
+        return [*self._bind_choices(0, self._make_moves())[1], *own]
 
     def initialise_(self) -> None:
         """Write the initial parameters, bodies at rest and relaxation rates."""

@@ -393,7 +393,7 @@ class InPlaceSolver:
     def list_calls(self) -> list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]:
         """Return the parts of a step in order, for measuring them in this process.
 
-        Each comes with the first group's arguments of ``run`` at even and at odd steps; the first
-        part is the collision.
+        Each comes with the first group's arguments of ``run`` at even and at odd steps; with one
+        level the first part is the collision.
         """
         return self._batch.list_calls()

@@ -8,20 +8,30 @@ from torch import Tensor
 
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.fast.flow_memory import GroupMemory
-from fishrl.physics.fast.part import Part, Repeater
+from fishrl.physics.fast.part import Part, Repeater, copy_tree
 from fishrl.physics.fast.recording import Call
-from fishrl.physics.lattice import Q
 from fishrl.physics.levels.grids import Frame, Level, find_middle, find_shift
+from fishrl.physics.levels.patch import RING
 from fishrl.physics.levels.transfer import (
+    FIRST_RESTRICTED,
+    add,
     coarsen,
-    crop_ring,
+    count,
+    fill_ring,
+    find_ring,
+    list_layers,
     list_restricted,
-    list_strips,
-    refine,
+    list_sources,
+    number_cells,
 )
 
-#: Layers of the parent's nodes that are restricted in each step; all others once in many.
-_NUM_RESTRICTED = 2
+SETTINGS: dict[str, dict[str, object]] = {
+    "cpu": {"cpp.threads": 1},
+    "cuda": {"combo_kernels": True},
+}
+# Populations of the parent, its cells, numbers of rows and cells, views of the patch.
+FillingGrids = tuple[list[Tensor], list[Tensor], Tensor, list[list[Tensor]]]
+RestrictionGrids = tuple[Tensor, list[Tensor], Tensor, Tensor, Tensor, list[list[Tensor]]]
 
 
 class PatchMemory(NamedTuple):
@@ -37,86 +47,65 @@ class PatchMemory(NamedTuple):
         return self.patch.populations
 
 
-class Cells(NamedTuple):
-    """Where populations of some nodes lie in a buffer."""
-
-    data: Tensor  #: populations
-    offsets: Tensor  #: ``[Q]`` int64, of the slots of each incoming population
-    first: Tensor  #: ``[B]`` int64, cells of node (0, 0)
-    row: Tensor  #: int64, cells from a row to the next
-    x: Tensor  #: nodes, int64 of any shape
-    y: Tensor
-
-    def find(self, origin: Tensor | None = None) -> Tensor:
-        """Return cells ``[B, ...]``; nodes count from ``origin`` ``[B, 2]``."""
-        cells = self.y * self.row + self.x
-        first = self.first
-        if origin is not None:
-            first = first + origin[:, 1] * self.row + origin[:, 0]
-        return first.view(-1, *[1] * cells.dim()) + cells
-
-
-def find_cells(memory: GroupMemory, parity: int, x: Tensor, y: Tensor) -> Cells:
-    """Return where the incoming populations of nodes lie before a step of a parity."""
-    layout, device = memory.layout, memory.populations.device
-    flows = torch.arange(layout.num_envs, device=device)
-    return Cells(
-        data=memory.populations,
-        offsets=torch.tensor(layout.offsets(parity, False), device=device),
-        first=flows * layout.flow_length + layout.first_cell,
-        row=torch.tensor(layout.row_length, device=device),
-        x=x.to(device),
-        y=y.to(device),
-    )
-
-
 def make_filling(width: int, height: int) -> Part:
     """Return the part that fills the ring of a patch, at the parity of its parent's next step."""
-    strips = list_strips(width, height)
-    crops = [strip.crop for strip in strips]
 
-    def collect(
-        memory: PatchMemory, parity: int
-    ) -> tuple[list[tuple[Cells, Cells]], Tensor, Tensor]:
-        cells = [
-            (
-                find_cells(memory.parent, parity, strip.parent_x, strip.parent_y),
-                find_cells(memory.patch, 0, strip.x, strip.y),
-            )
-            for strip in strips
-        ]
-        return cells, memory.origin, memory.patch.flow.params.tau
+    def collect(memory: PatchMemory, parity: int) -> tuple[FillingGrids, Tensor, Tensor]:
+        layout, device = memory.parent.layout, memory.origin.device
+        sources = list_sources(width, height, layout.row_length)
+        grids = (
+            memory.parent.cells(parity),
+            [each.contiguous().to(device) for each in sources],
+            torch.tensor([layout.row_length, layout.first_cell], device=device),
+            find_ring(memory.patch.incoming(0)),
+        )
+        return grids, memory.origin, memory.patch.flow.params.tau
 
-    def act(cells: list[tuple[Cells, Cells]], origin: Tensor, tau: Tensor) -> None:
-        for (coarse, fine), crop in zip(cells, crops, strict=True):
-            source, target = coarse.find(origin), fine.find()
-            f = refine([coarse.data[source + coarse.offsets[q]] for q in range(Q)], tau)
-            for q, values in enumerate(f):
-                fine.data.index_put_((target + fine.offsets[q],), crop_ring(values, crop))
+    def act(grids: FillingGrids, origin: Tensor, tau: Tensor) -> None:
+        parent, sources, (row, first), ring = grids
+        values = fill_ring(parent, sources, count(origin, row) + first, tau)
+        for places, own in zip(ring, values, strict=True):
+            copy_tree(places, own)
 
-    return Part("filling", collect, act, {"cpu": {"cpp.threads": 1}}, any_grid=True)
+    return Part("filling", collect, act, SETTINGS, any_grid=True)
 
 
-def make_restriction(width: int, height: int, *, is_whole: bool) -> Part:
+def make_restriction(*, is_whole: bool) -> Part:
     """Return the part that restricts a patch, at the parity of its parent's next step.
 
-    It takes all nodes, or only the layers that the parent depends on.
+    It takes all nodes, or only the two layers that the parent depends on: they keep all that lies
+    outside the patch, or will when it shifts, independent of what the parent has further inside.
     """
-    x, y = list_restricted(width, height, None if is_whole else _NUM_RESTRICTED)
 
-    def collect(memory: PatchMemory, parity: int) -> tuple[tuple[Cells, Cells], Tensor, Tensor]:
-        fine = find_cells(memory.patch, 0, x, y)
-        coarse = find_cells(memory.parent, parity, x // 2, y // 2)
-        return (fine, coarse), memory.origin, memory.patch.flow.params.tau
+    def choose(planes: list[Tensor]) -> list[list[Tensor]]:
+        is_small = min(planes[0].shape[1:]) <= 2 * RING
+        return [planes] if is_whole or is_small else list_layers(planes)
 
-    def act(cells: tuple[Cells, Cells], origin: Tensor, tau: Tensor) -> None:
-        fine, coarse = cells
-        source, target = fine.find(), coarse.find(origin)
-        f = coarsen([fine.data[source + fine.offsets[q]] for q in range(Q)], tau)
-        for q, values in enumerate(f):
-            coarse.data.index_put_((target + coarse.offsets[q],), values)
+    def collect(memory: PatchMemory, parity: int) -> tuple[RestrictionGrids, Tensor, Tensor]:
+        layout, device = memory.parent.layout, memory.origin.device
+        inner = list_restricted(memory.patch.incoming(0))
+        (height, width), row = inner[0].shape[1:], layout.row_length
+        cells = number_cells(height, width, row, FIRST_RESTRICTED // 2) + layout.first_cell
+        flows = torch.arange(layout.num_envs) * layout.flow_length
+        grids = (
+            memory.parent.populations,
+            [place.contiguous().to(device) for (place,) in choose([cells[None]])],
+            torch.tensor(layout.offsets(parity, False), device=device),
+            torch.tensor(row, device=device),
+            flows.to(device),
+            choose(inner),
+        )
+        return grids, memory.origin, memory.patch.flow.params.tau
 
-    return Part("restriction", collect, act, {"cpu": {"cpp.threads": 1}}, any_grid=True)
+    def act(grids: RestrictionGrids, origin: Tensor, tau: Tensor) -> None:
+        parent, places, offsets, row, flows, patch = grids
+        first = count(origin, row) + flows
+        for place, f in zip(places, patch, strict=True):
+            cells = add(first, place[0])
+            for offset, values in zip(offsets, coarsen(f, tau), strict=True):
+                parent.index_put_((cells + offset,), values)
+
+    return Part("restriction", collect, act, SETTINGS, any_grid=True)
 
 
 class Moving(NamedTuple):
@@ -164,7 +153,7 @@ def make_shift_choice(levels: Sequence[Level]) -> Part:
             by.copy_(chosen)
             place, inside = origin + 0.5 * place, [(origin + chosen, frame)]
 
-    return Part("shift choice", collect, act, {"cpu": {"cpp.threads": 1}})
+    return Part("shift choice", collect, act, SETTINGS)
 
 
 class Shifting:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from math import ceil
 from typing import Annotated, Self
 
-from pydantic import Field, NonNegativeInt, PositiveFloat
+from pydantic import Field, NonNegativeInt
 
 from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.settings import Settings
@@ -17,6 +17,9 @@ RING = 2
 # Least distance of a body, or of the next finer patch, from the edges of a patch, in body lengths
 # and in nodes of the parent: half of it still gives the speed of a swimmer within 0.1 %.
 _MARGIN_BL, _MARGIN_NODES = 0.25, 8
+
+#: A smaller patch has no node that its parent takes.
+Side = Annotated[float, Field(ge=8)]
 
 
 #: First and last node (x, y) of the coarsest level that patches may cover.
@@ -38,7 +41,7 @@ class Patch(Settings):
     """
 
     bodies: tuple[NonNegativeInt, ...] | None = (0,)
-    size: tuple[PositiveFloat, PositiveFloat] | None = None
+    size: tuple[Side, Side] | None = None
     centre: tuple[Annotated[float, Field()], Annotated[float, Field()]] | None = None
 
     def __post_init__(self) -> None:

@@ -19,8 +19,7 @@ Density and momentum are the same. Both ways this acts on incoming populations:
 Dropping eps and q at the interface, as others do against noise, is worse than no patch.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Tensor
@@ -29,51 +28,71 @@ from fishrl.physics.collision import Moments, measure_moments, rebuild
 from fishrl.physics.levels.patch import RING
 
 #: Layers of a patch that do not reach the parent: the ring, and as many that depend on it most.
-_FIRST_RESTRICTED = 4
+FIRST_RESTRICTED = 4
 
 
-class Strip(NamedTuple):
-    """Two layers along two opposite sides of a patch, and the rows of the parent they come from.
+def list_layers(planes: Sequence[Tensor]) -> list[list[Tensor]]:
+    """Return views ``[B, 2, n]`` of the two outermost layers of planes ``[B, h, w]``.
 
-    The outermost layer comes first; nodes are int64.
+    Bottom and top come first, outer and inner layer; then left and right, without their ends.
     """
-
-    parent_x: Tensor  #: ``[2, 4, n + 3]`` relative to the origin
-    parent_y: Tensor
-    x: Tensor  #: ``[2, 2, m]`` in the patch
-    y: Tensor
-    crop: int  #: nodes at both ends of the layers that the other two sides fill
-
-
-def list_strips(width: int, height: int) -> list[Strip]:
-    """Return bottom and top, and left and right, of a patch's ring."""
-    strips = []
-    for length, depth, crop in ((width, height, 0), (height, width, RING)):
-        along, parents = torch.arange(crop, length - crop), torch.arange(-1, length // 2 + 2)
-        layers, rows = torch.arange(2), torch.arange(-1, 3)
-        across = torch.stack((layers, depth - 1 - layers))[..., None]
-        coarse = torch.stack((rows, depth // 2 - rows))[..., None]
-        own = torch.broadcast_tensors(along, across)
-        parent = torch.broadcast_tensors(parents, coarse)
-        (x, y), (px, py) = (own[::-1], parent[::-1]) if crop else (own, parent)
-        px, py, x, y = (table.contiguous() for table in (px, py, x, y))
-        strips.append(Strip(px, py, x, y, crop))
-    return strips
+    layers = []
+    for crop in (0, RING):
+        own = [plane.mT if crop else plane for plane in planes]
+        depth, length = own[0].shape[-2:]
+        for layer in range(RING):
+            both = slice(layer, None, depth - 1 - 2 * layer)
+            layers.append([plane[:, both, crop : length - crop] for plane in own])
+    return layers
 
 
-def list_restricted(
-    width: int, height: int, num_layers: int | None = None
-) -> tuple[Tensor, Tensor]:
-    """Return (x, y) ``[K]`` of a patch's nodes that the parent takes; None is all layers of them.
+def find_ring(planes: Sequence[Tensor]) -> list[list[Tensor]]:
+    """Return views of a patch's ring: of each layer the parent's nodes, then those between."""
+    return [[p[..., first::2] for p in own] for own in list_layers(planes) for first in (0, 1)]
 
-    The first two keep all that lies outside the patch, or will when it shifts, independent of what
-    the parent has further inside.
+
+def number_cells(height: int, width: int, row: int, first: int = 0) -> Tensor:
+    """Return numbers ``[height, width]`` of nodes, ``first`` and more nodes along x and y.
+
+    There are ``row`` numbers from one row to the next.
     """
-    y, x = torch.meshgrid(torch.arange(0, height, 2), torch.arange(0, width, 2), indexing="ij")
-    depth = torch.minimum(torch.minimum(x, width - 1 - x), torch.minimum(y, height - 1 - y))
-    last = max(width, height) if num_layers is None else _FIRST_RESTRICTED + 2 * num_layers - 1
-    chosen = (depth >= _FIRST_RESTRICTED) & (depth <= last)
-    return x[chosen], y[chosen]
+    return torch.arange(first, first + height)[:, None] * row + torch.arange(first, first + width)
+
+
+def list_parents(width: int, height: int, row: int) -> Tensor:
+    """Return the numbers of the parent's nodes below a patch, and of one more on each side.
+
+    They count from the patch's first node, with ``row`` from one row of the parent to the next.
+    """
+    return number_cells(height // 2 + 3, width // 2 + 3, row, -1)
+
+
+def list_sources(width: int, height: int, row: int) -> list[Tensor]:
+    """Return those ``[2, 4, n + 2]`` from which two opposite sides are filled, outermost first."""
+    cells = list_parents(width, height, row)
+    sides = cells, cells.mT[:, RING // 2 : -RING // 2]
+    return [torch.stack((own[:4], own[-4:].flip(0))) for own in sides]
+
+
+def fill_ring(
+    parent: Sequence[Tensor], sources: Sequence[Tensor], first: Tensor, tau: Tensor
+) -> Iterator[list[Tensor]]:
+    """Yield what the parent puts into each of the views of ``find_ring``.
+
+    Args:
+        parent: nine populations ``[B, N]`` of the parent's nodes.
+        sources: of ``list_sources``.
+        first: number ``[B]`` of the parent's node at which the patch begins.
+        tau: ``[B]``, the patch's.
+    """
+    for source in sources:
+        f = read(parent, add(first, source))
+        moments = measure_moments(f)
+        ratio = _compute_ratio(tau, f[0][:, :, 0])
+        outer, inner = [m[:, :, 1] for m in moments], [_halve(m.mT)[..., 0] for m in moments]
+        for own in (outer, inner):
+            for values in ([m[..., 1:-1] for m in own], [_halve(m) for m in own]):
+                yield rebuild(Moments(*values), ratio, 0.5)
 
 
 def refine(f: Sequence[Tensor], tau: Tensor) -> list[Tensor]:
@@ -101,11 +120,14 @@ def _compute_ratio(tau: Tensor, like: Tensor) -> Tensor:
 
 def _interpolate(values: Tensor) -> Tensor:
     """Return n + 3 values ``[..., n + 3]`` and those between them, 2 n + 1, without the ends."""
-    n = values.shape[-1] - 3
-    before, here, after, beyond = (values[..., k : k + n] for k in range(4))
-    between = (9.0 * (here + after) - (before + beyond)) * (1 / 16)
-    pairs = torch.stack((here, between), -1).flatten(-2)
-    return torch.cat((pairs, values[..., n + 1 : n + 2]), -1)
+    pairs = torch.stack((values[..., 1:-2], _halve(values)), -1).flatten(-2)
+    return torch.cat((pairs, values[..., -2:-1]), -1)
+
+
+def _halve(values: Tensor) -> Tensor:
+    """Return the n values halfway between the inner ones of ``[..., n + 3]``."""
+    before, here, after, beyond = (values[..., k : values.shape[-1] - 3 + k] for k in range(4))
+    return (9.0 * (here + after) - (before + beyond)) * (1 / 16)
 
 
 def fill(patch: Tensor, parent: Tensor, origin: Tensor, tau: Tensor) -> Tensor:
@@ -117,16 +139,12 @@ def fill(patch: Tensor, parent: Tensor, origin: Tensor, tau: Tensor) -> Tensor:
         origin: ``[B, 2]`` int64, (x, y) of the patch's first node in the parent.
         tau: ``[B]``, the patch's.
     """
-    for strip in list_strips(patch.shape[-1], patch.shape[-2]):
-        x, y = (_move(p, origin, axis) for axis, p in enumerate((strip.parent_x, strip.parent_y)))
-        ring = crop_ring(torch.stack(refine(read(parent, x, y), tau), 1), strip.crop)
-        patch = write(patch, strip.x.expand(len(patch), -1, -1, -1), strip.y, ring)
-    return patch
-
-
-def crop_ring(values: Tensor, crop: int) -> Tensor:
-    """Return the layers ``[..., 2, m]`` of ``Strip`` of refined values."""
-    return values[..., :RING, crop : values.shape[-1] - crop]
+    (height, width), row = patch.shape[-2:], parent.shape[-1]
+    sources = list_sources(width, height, row)
+    values = fill_ring(parent.flatten(2).unbind(1), sources, count(origin, row), tau)
+    ring = find_ring([number_cells(height, width, width)[None]])
+    places = torch.cat([own.flatten() for (own,) in ring]).expand(len(patch), -1)
+    return write(patch, places, torch.cat([torch.stack(own, 1).flatten(2) for own in values], -1))
 
 
 def fill_all(size: tuple[int, int], parent: Tensor, origin: Tensor, tau: Tensor) -> Tensor:
@@ -134,20 +152,23 @@ def fill_all(size: tuple[int, int], parent: Tensor, origin: Tensor, tau: Tensor)
 
     Arguments are as for ``fill``.
     """
-    width, height = size
-    py, px = torch.meshgrid(
-        torch.arange(-1, height // 2 + 2), torch.arange(-1, width // 2 + 2), indexing="ij"
-    )
-    f = read(parent, _move(px, origin, 0), _move(py, origin, 1))
-    return torch.stack(refine(f, tau), 1)
+    row = parent.shape[-1]
+    cells = add(count(origin, row), list_parents(*size, row))
+    return torch.stack(refine(read(parent.flatten(2).unbind(1), cells), tau), 1)
+
+
+def list_restricted(planes: Sequence[Tensor]) -> list[Tensor]:
+    """Return views of those nodes of a patch's planes ``[B, h, w]`` that its parent takes."""
+    inner = slice(FIRST_RESTRICTED, -FIRST_RESTRICTED, 2)
+    return [plane[:, inner, inner] for plane in planes]
 
 
 def restrict(parent: Tensor, patch: Tensor, origin: Tensor, tau: Tensor) -> Tensor:
     """Return a parent's populations with those under the patch replaced; arguments of ``fill``."""
-    x, y = list_restricted(patch.shape[-1], patch.shape[-2])
-    every = torch.zeros_like(origin[:, :1])
-    f = torch.stack(coarsen(read(patch, x + every, y + every), tau), 1)
-    return write(parent, _move(x // 2, origin, 0), _move(y // 2, origin, 1), f)
+    f, row = torch.stack(coarsen(list_restricted(patch.unbind(1)), tau), 1), parent.shape[-1]
+    height, width = f.shape[-2:]
+    cells = number_cells(height, width, row, FIRST_RESTRICTED // 2)
+    return write(parent, add(count(origin, row), cells), f)
 
 
 def move(patch: Tensor, shift: Tensor) -> Tensor:
@@ -156,10 +177,11 @@ def move(patch: Tensor, shift: Tensor) -> Tensor:
     The ring that enters holds copies; it must be filled.
     """
     height, width = patch.shape[-2:]
-    y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    x = _move(x, 2 * shift, 0).clamp(0, width - 1)
-    y = _move(y, 2 * shift, 1).clamp(0, height - 1)
-    return torch.stack(read(patch, x, y), 1)
+    x, y = (
+        add(2 * by, torch.arange(num, device=by.device)).clamp(0, num - 1)
+        for by, num in zip(shift.unbind(-1), (width, height), strict=True)
+    )
+    return torch.stack(read(patch.flatten(2).unbind(1), y[:, :, None] * width + x[:, None]), 1)
 
 
 def choose_shift(
@@ -186,18 +208,22 @@ def clamp_origin(origin: Tensor, low: tuple[int, int], high: tuple[int, int]) ->
     return torch.stack(parts, -1)
 
 
-def read(f: Tensor, x: Tensor, y: Tensor) -> list[Tensor]:
-    """Return nine populations at nodes (x, y) ``[B, ...]`` of ``f`` ``[B, Q, Y, X]``."""
-    index = (y * f.shape[-1] + x).flatten(1)[:, None].expand(-1, f.shape[1], -1)
-    return [*f.flatten(2).gather(2, index).view(*f.shape[:2], *x.shape[1:]).unbind(1)]
+def count(origin: Tensor, row: int | Tensor) -> Tensor:
+    """Return the numbers ``[B]`` of nodes (x, y) ``[B, 2]`` of a grid, ``row`` in each row."""
+    return origin[:, 1] * row + origin[:, 0]
 
 
-def write(f: Tensor, x: Tensor, y: Tensor, values: Tensor) -> Tensor:
-    """Return ``f`` with ``values`` ``[B, Q, ...]`` at nodes (x, y) ``[B, ...]``."""
-    index = (y * f.shape[-1] + x).flatten(1)[:, None].expand(-1, f.shape[1], -1)
+def add(first: Tensor, cells: Tensor) -> Tensor:
+    """Return numbers ``[...]`` that count from those of each flow, ``[B, ...]``."""
+    return first.view(-1, *[1] * cells.dim()) + cells.to(first.device)
+
+
+def read(f: Sequence[Tensor], cells: Tensor) -> list[Tensor]:
+    """Return populations ``[B, N]`` at the nodes with given numbers ``[B, ...]``."""
+    return [g.gather(1, cells.flatten(1)).view_as(cells) for g in f]
+
+
+def write(f: Tensor, cells: Tensor, values: Tensor) -> Tensor:
+    """Return ``f`` ``[B, Q, Y, X]`` with ``values`` ``[B, Q, ...]`` at nodes ``[B, ...]``."""
+    index = cells.to(f.device).flatten(1)[:, None].expand(-1, f.shape[1], -1)
     return f.flatten(2).scatter(2, index, values.flatten(2)).view_as(f)
-
-
-def _move(nodes: Tensor, by: Tensor, axis: int) -> Tensor:
-    """Return node numbers ``[...]`` moved by those of each flow, ``[B, ...]``."""
-    return nodes.to(by.device) + by[:, axis].view(-1, *[1] * nodes.dim())

@@ -3,9 +3,12 @@
 import pytest
 import torch
 
+from experiments.benchmarks import flows
 from experiments.benchmarks.environment import make_overhead, make_training
-from experiments.benchmarks.flows import make_case, make_kernel_case, make_solver
-from experiments.benchmarks.measuring import FISH, KERNEL, BenchmarkSettings
+from experiments.benchmarks.flows import make_case, make_kernel_case, make_levels, make_solver
+from experiments.benchmarks.machine import describe_machine
+from experiments.benchmarks.measuring import FISH, KERNEL, BenchmarkSettings, Results, measure
+from experiments.benchmarks.report import render_results
 from experiments.benchmarks.step_clock import time_parts
 from fishrl.envs import Flows, Predation
 from fishrl.physics import InPlaceSolver
@@ -74,3 +77,24 @@ def test_share_of_learning_is_measured() -> None:
     gradient, frame = make_training(SETTINGS, task=TASK, learning=learning)
     assert gradient.advance(2) is None
     assert 0.0 < frame.advance(1)["learning"] < 1.0
+
+
+def test_levels_are_timed_by_beat_and_their_interface_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(flows, "LEVELS", ((0.3, 1), (0.3, 2)))
+    settings = BenchmarkSettings(body_length=80, rounds=2, burst=1e-9)
+    uniform, refined = cases = make_levels(settings, batches=(1,), compile=False)
+    assert refined.facts["period"] == pytest.approx(0.5 * uniform.facts["period"], rel=0.02)
+    before = refined.prepare.args[1].state_dict()
+    refined.prepare()
+    after = refined.prepare.args[1].state_dict()
+    assert all(torch.equal(after[name], value) for name, value in before.items())
+    for case in cases:
+        case.group = "levels"
+    measure(cases, settings)
+    assert min(refined.measured["interface"]) < min(refined.measured["seconds"])
+    table = render_results(
+        Results(machine=describe_machine(), settings=vars(settings), cases=cases)
+    )
+    assert "| 1 × 241 × 121, L = 24 | 2 levels |" in table
