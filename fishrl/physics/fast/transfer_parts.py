@@ -31,7 +31,6 @@ SETTINGS: dict[str, dict[str, object]] = {
 }
 # Populations of the parent, its cells, numbers of rows and cells, views of the patch.
 FillingGrids = tuple[list[Tensor], list[Tensor], Tensor, list[list[Tensor]]]
-RestrictionGrids = tuple[Tensor, list[Tensor], Tensor, Tensor, Tensor, list[list[Tensor]]]
 
 
 class PatchMemory(NamedTuple):
@@ -70,6 +69,29 @@ def make_filling(width: int, height: int) -> Part:
     return Part("filling", collect, act, SETTINGS, any_grid=True)
 
 
+class Cells(NamedTuple):
+    """Where populations of some nodes lie in a buffer."""
+
+    data: Tensor  #: populations
+    offsets: Tensor  #: ``[Q]`` int64, of the slots of each incoming population
+    first: Tensor  #: ``[B]`` int64, cells of node (0, 0)
+    row: Tensor  #: int64, cells from a row to the next
+    cells: Tensor  #: ``[K]`` int64, counted from those
+
+    @staticmethod
+    def find(memory: GroupMemory, parity: int, cells: Tensor) -> "Cells":
+        """Return where nodes lie before a step of a parity."""
+        layout, device = memory.layout, memory.populations.device
+        flows = torch.arange(layout.num_envs, device=device)
+        return Cells(
+            data=memory.populations,
+            offsets=torch.tensor(layout.offsets(parity, False), device=device),
+            first=flows * layout.flow_length + layout.first_cell,
+            row=torch.tensor(layout.row_length, device=device),
+            cells=cells.to(device),
+        )
+
+
 def make_restriction(*, is_whole: bool) -> Part:
     """Return the part that restricts a patch, at the parity of its parent's next step.
 
@@ -77,33 +99,30 @@ def make_restriction(*, is_whole: bool) -> Part:
     outside the patch, or will when it shifts, independent of what the parent has further inside.
     """
 
-    def choose(planes: list[Tensor]) -> list[list[Tensor]]:
-        is_small = min(planes[0].shape[1:]) <= 2 * RING
-        return [planes] if is_whole or is_small else list_layers(planes)
+    def choose(cells: Tensor) -> Tensor:
+        is_all = is_whole or min(cells.shape) <= 2 * RING
+        chosen = [cells[None]] if is_all else [own for (own,) in list_layers([cells[None]])]
+        return torch.cat([own.flatten() for own in chosen])
 
-    def collect(memory: PatchMemory, parity: int) -> tuple[RestrictionGrids, Tensor, Tensor]:
-        layout, device = memory.parent.layout, memory.origin.device
-        inner = list_restricted(memory.patch.incoming(0))
-        (height, width), row = inner[0].shape[1:], layout.row_length
-        cells = number_cells(height, width, row, FIRST_RESTRICTED // 2) + layout.first_cell
-        flows = torch.arange(layout.num_envs) * layout.flow_length
-        grids = (
-            memory.parent.populations,
-            [place.contiguous().to(device) for (place,) in choose([cells[None]])],
-            torch.tensor(layout.offsets(parity, False), device=device),
-            torch.tensor(row, device=device),
-            flows.to(device),
-            choose(inner),
+    def collect(memory: PatchMemory, parity: int) -> tuple[tuple[Cells, Cells], Tensor, Tensor]:
+        layout, row = memory.patch.layout, memory.parent.layout.row_length
+        every = number_cells(layout.height, layout.width, layout.row_length)
+        (inner,) = list_restricted([every[None]])
+        height, width = inner.shape[1:]
+        coarse = number_cells(height, width, row, FIRST_RESTRICTED // 2)
+        cells = (
+            Cells.find(memory.patch, 0, choose(inner[0])),
+            Cells.find(memory.parent, parity, choose(coarse)),
         )
-        return grids, memory.origin, memory.patch.flow.params.tau
+        return cells, memory.origin, memory.patch.flow.params.tau
 
-    def act(grids: RestrictionGrids, origin: Tensor, tau: Tensor) -> None:
-        parent, places, offsets, row, flows, patch = grids
-        first = count(origin, row) + flows
-        for place, f in zip(places, patch, strict=True):
-            cells = add(first, place[0])
-            for offset, values in zip(offsets, coarsen(f, tau), strict=True):
-                parent.index_put_((cells + offset,), values)
+    def act(cells: tuple[Cells, Cells], origin: Tensor, tau: Tensor) -> None:
+        fine, coarse = cells
+        source = add(fine.first, fine.cells)
+        target = add(coarse.first + count(origin, coarse.row), coarse.cells)
+        f = coarsen([fine.data[source + offset] for offset in fine.offsets.unbind()], tau)
+        for offset, values in zip(coarse.offsets.unbind(), f, strict=True):
+            coarse.data.index_put_((target + offset,), values)
 
     return Part("restriction", collect, act, SETTINGS, any_grid=True)
 
