@@ -9,6 +9,7 @@ import torch
 
 T = TypeVar("T")
 P = ParamSpec("P")
+_DENORMAL = 2.0**-1040
 
 
 @contextmanager
@@ -20,8 +21,7 @@ def own_torch_state(*, is_learning: bool = False) -> Iterator[None]:
     """
     before = torch.get_default_dtype()
     with ExitStack() as stack:
-        denormal = torch.full((), 2.0**-1040, dtype=torch.float64, device="cpu")
-        if denormal + denormal != 0.0:
+        if not _flushes_denormals():
             stack.callback(torch.set_flush_denormal, False)
             torch.set_flush_denormal(True)
         stack.callback(torch.set_default_dtype, before)
@@ -34,6 +34,22 @@ def own_torch_state(*, is_learning: bool = False) -> Iterator[None]:
         if torch.get_default_device().type != "cpu":
             stack.enter_context(torch.device("cpu"))
         yield
+
+
+def _is_own_torch_state(*, is_learning: bool) -> bool:
+    """Return whether ``own_torch_state`` would change nothing."""
+    return (
+        torch.is_grad_enabled() is is_learning
+        and not torch.is_inference_mode_enabled()
+        and torch.get_default_dtype() == torch.float32
+        and not (torch.is_autocast_enabled("cpu") or torch.is_autocast_enabled("cuda"))
+        and _flushes_denormals()
+        and torch.get_default_device().type == "cpu"
+    )
+
+
+def _flushes_denormals() -> bool:
+    return _DENORMAL + _DENORMAL == 0.0  # Python's numbers follow the processor's switch, too
 
 
 @contextmanager
@@ -52,6 +68,8 @@ def in_own_state(function: Callable[P, T], *, is_learning: bool = False) -> Call
 
     @wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> T:
+        if _is_own_torch_state(is_learning=is_learning):
+            return function(*args, **kwargs)
         with own_torch_state(is_learning=is_learning):
             return function(*args, **kwargs)
 

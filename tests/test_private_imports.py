@@ -23,8 +23,9 @@ PRIVATE = {
 }
 #: Private attributes of TorchRL's classes, by class, that their subclasses or callers here use.
 ATTRIBUTES = {
-    "torchrl.collectors.Collector": ("_carrier", "_traj_pool"),  # training/collector.py
-    "torchrl.envs.ActionMask": ("_call",),  # training/collector.py
+    # training/collector.py
+    "torchrl.collectors.Collector": ("_carrier", "_exclude_private_keys", "_traj_pool"),
+    "torchrl.envs.ActionMask": ("_call",),
 }
 
 

@@ -253,7 +253,8 @@ class FlowEnv(EnvBase):
             has_ended=self.is_resting,
             diverged=torch.zeros_like(self.is_resting),
         )
-        reached, safe_until = 0, 0.0  # steps of the action; no row ends before the latter
+        reached = 0  # steps of the action; no row ends within the other number
+        safe_until = self._count_safe_steps(before, self.is_resting)
         for stop in self._schedule:
             # not <=: NaN asks for a check
             is_check = stop.is_last or (stop.is_check and not stop.step <= safe_until)
@@ -274,11 +275,7 @@ class FlowEnv(EnvBase):
         return now, rows.diverged
 
     def _check(self, rows: "_Rows", *, is_last: bool) -> float:
-        """Measure the rows that end here, by termination or with the action.
-
-        Returns the number of steps within which no other row ends; 0 on a GPU, where reading it
-        would wait.
-        """
+        """Measure rows that end here; return a number of steps within which no other row ends."""
         measured, has_ended = self.measure(), rows.has_ended
         self.is_ending = self.task.is_terminated(measured) & ~has_ended
         is_new = ~has_ended if is_last else self.is_ending
@@ -290,9 +287,13 @@ class FlowEnv(EnvBase):
             rows.has_ended = has_ended | is_new
             if not rows.samples:
                 rows.sensed = _merge(is_new, self._sense(), rows.sensed)
-        if is_new.is_cuda or is_last:
+        return 0.0 if is_last else self._count_safe_steps(measured, rows.has_ended)
+
+    def _count_safe_steps(self, now: TensorDict, has_ended: Tensor) -> float:
+        """Return how long no row ends after a measurement; 0 on a GPU, which would have to wait."""
+        if has_ended.is_cuda:
             return 0.0
-        return float(self.task.count_safe_steps(measured).masked_fill(rows.has_ended, inf).min())
+        return float(self.task.count_safe_steps(now).masked_fill(has_ended, inf).min())
 
     def _read_action(self, action: Tensor) -> Tensor:
         """Return legal actions in the form that the task expects."""
@@ -388,8 +389,10 @@ class _Rows:
     samples: list[TensorDict] = field(default_factory=list)  #: sensor series, oldest first
 
 
-def _merge(rows: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDict:
-    """Return ``new`` in ``rows`` ``[B]`` and ``old`` elsewhere."""
+def _merge(rows: Tensor, new: TensorDict, old: TensorDict) -> TensorDict:
+    """Return the entries of ``old``, with the values of ``new`` in ``rows`` ``[B]``."""
+    if not rows.is_cuda and (rows == rows[0]).all():  # one of them, itself
+        return new.select(*old.keys()) if rows[0] else old
     return old.apply(
         lambda kept, fresh: torch.where(rows.view(-1, *(1,) * (kept.dim() - 1)), fresh, kept),
         new,

@@ -1,5 +1,7 @@
 """The lateral line: neuromasts along the body that sample the flow next to the skin."""
 
+from collections.abc import Callable
+from functools import cache
 from math import sqrt
 from typing import Annotated, Any
 
@@ -91,9 +93,7 @@ class LateralLine(Settings):
         Points are in nodes, velocities in nodes per step, unit normals point out of the body.
         """
         body, markers = solver.body, solver.surface()
-        num = markers.position.shape[1]
-        own = self._choose_markers(num)
-        after, before = ([(i + step) % num for i in own] for step in (1, -1))
+        own, after, before = _index_markers(self, markers.position.shape[1], solver.device)
         tangent = markers.position[:, after] - markers.position[:, before]
         length = (tangent * tangent).sum(-1, keepdim=True).sqrt()
         tx, ty = (tangent / length).unbind(-1)
@@ -104,7 +104,7 @@ class LateralLine(Settings):
         skin = skin + body.velocity[:, None]
         return markers.position[:, own] + self.distance * normal, skin, normal
 
-    def _choose_markers(self, num_markers: int) -> list[int]:
+    def choose_markers(self, num_markers: int) -> list[int]:
         """Return the markers below the neuromasts: nose, then right and left of each pair."""
         half, num_pairs = num_markers // 2, self.num_neuromasts // 2
         span = self.last_bl - self.first_bl
@@ -148,21 +148,23 @@ class LateralLine(Settings):
         cos, sin = torch.cos(angle)[:, None], torch.sin(angle)[:, None]
         past_x, past_y = ux - sx, uy - sy
         nx, ny = normal.unbind(-1)
-        signals = {
-            "t": (age / period)[:, None].expand_as(ux),
-            "x": points[..., 0] / body_length,
-            "y": points[..., 1] / body_length,
-            "u_x": ux,
-            "u_y": uy,
-            "p": pressure,
-            "speed": (ux * ux + uy * uy).sqrt(),
-            "ahead": cos * past_x + sin * past_y,
-            "left": cos * past_y - sin * past_x,
-            "pressure": pressure - (pressure * is_active).sum(-1, keepdim=True) / num_active,
-            "slip": (past_x * past_x + past_y * past_y).sqrt(),
-            "shear": (ny * past_x - nx * past_y) * (body_length / self.distance),
+        read: dict[str, Callable[[], Tensor]] = {
+            "t": lambda: (age / period)[:, None].expand_as(ux),
+            "x": lambda: points[..., 0] / body_length,
+            "y": lambda: points[..., 1] / body_length,
+            "u_x": lambda: ux,
+            "u_y": lambda: uy,
+            "p": lambda: pressure,
+            "speed": lambda: (ux * ux + uy * uy).sqrt(),
+            "ahead": lambda: cos * past_x + sin * past_y,
+            "left": lambda: cos * past_y - sin * past_x,
+            "pressure": lambda: (
+                pressure - (pressure * is_active).sum(-1, keepdim=True) / num_active
+            ),
+            "slip": lambda: (past_x * past_x + past_y * past_y).sqrt(),
+            "shear": lambda: (ny * past_x - nx * past_y) * (body_length / self.distance),
         }
-        signal = torch.stack([signals[name] for name in self.features], -1)
+        signal = torch.stack([read[name]() for name in self.features], -1)
         signal = signal.masked_fill(~is_active[..., None], 0.0)
         if self.is_averaged:
             signal = signal.sum(1, keepdim=True) / num_active[..., None]
@@ -175,6 +177,13 @@ class LateralLine(Settings):
             return now
         both = torch.cat((before, now), 1)
         return both[:, self.num_samples - self.delay : 2 * self.num_samples - self.delay]
+
+
+@cache
+def _index_markers(line: LateralLine, num: int, device: torch.device) -> tuple[Tensor, ...]:
+    """Return the markers below the neuromasts, and those after and before each, of ``num``."""
+    own = torch.tensor(line.choose_markers(num), device=device)
+    return own, (own + 1) % num, (own - 1) % num
 
 
 def _draw_normal(key: Tensor, age: Tensor, num: int) -> Tensor:

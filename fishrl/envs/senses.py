@@ -1,6 +1,9 @@
 """Senses of a fish in a stream, which ``KarmanGait(observes=...)`` joins in the given order."""
 
+from collections.abc import Mapping
+from functools import cache
 from math import pi
+from types import MappingProxyType
 from typing import Literal
 
 import torch
@@ -60,7 +63,8 @@ _SCALES |= dict.fromkeys(("u_x", "u_y", "speed", "ahead", "left", "slip"), (1, "
 _SCALES |= dict.fromkeys(("p", "pressure"), (2, "ρ U²"))
 
 
-def list_senses(line: LateralLine, *, stream_speed_bl: float) -> dict[str, Sense]:
+@cache
+def list_senses(line: LateralLine, *, stream_speed_bl: float) -> Mapping[str, Sense]:
     """Return all senses of a fish with this lateral line.
 
     ``lateral_line`` holds the latest signal of each neuromast and its change since the last
@@ -86,7 +90,7 @@ def list_senses(line: LateralLine, *, stream_speed_bl: float) -> dict[str, Sense
         for number in range(1 if line.is_averaged else line.num_neuromasts)
         for name in line.features
     ]
-    return {
+    every = {
         **OWN_SENSES,
         "place": Sense("place", ("x [L]", "y [L]"), lambda now: now["place"], (1, -2)),
         "drift": Sense("drift", ("Δx [L]", "Δy [L]"), lambda now: now["drift"], (1, -2)),
@@ -104,6 +108,7 @@ def list_senses(line: LateralLine, *, stream_speed_bl: float) -> dict[str, Sense
         ),
         "flow_label": Sense("flow label", (), lambda now: now["place"][:, :0], ()),
     }
+    return MappingProxyType(every)
 
 
 def _mirror_lateral_line(line: LateralLine) -> tuple[int, ...] | None:

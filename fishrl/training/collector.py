@@ -26,6 +26,13 @@ class ResumableCollector(Collector):
     frame stacks of the old ones.
     """
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        # the parent looks for private entries in each batch, which takes as long as a transform
+        keys = self.env.specs.keys(True)
+        names = [name for key in keys for name in (key if isinstance(key, tuple) else (key,))]
+        self._exclude_private_keys = any(name.startswith("_") for name in names)
+
     def state_dict(self) -> OrderedDict[str, Any]:
         """Return everything the next batch depends on, apart from the global generators."""
         state: OrderedDict[str, Any] = super().state_dict()

@@ -6,13 +6,15 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import AbstractTask, FlowEnv, Predation
+from fishrl.envs import AbstractTask, FlowEnv, KarmanGait, Predation
 from fishrl.envs.control import Bend, Turn
 from tests.envs.conftest import SMALL, make_flows, move_kinematically
+from tests.envs.test_karman_gait import make_task as make_gait_task
 from tests.envs.test_real_flow import TINY
+from tests.envs.test_real_wake import make_task as make_wake_task
 
 
-def run(task: Predation, num_actions: int, **options: Any) -> tuple[list[TensorDict], int]:
+def run(task: AbstractTask, num_actions: int, **options: Any) -> tuple[list[TensorDict], int]:
     """Return every step of random actions, with resets, and the number of measurements."""
     env, count = make_flows(task, 4, seed=7, **options), 0
     measure = FlowEnv.measure
@@ -25,7 +27,7 @@ def run(task: Predation, num_actions: int, **options: Any) -> tuple[list[TensorD
     env.measure = count_and_measure  # type: ignore[method-assign]
     draw, state, steps = torch.Generator().manual_seed(3), env.reset(), []
     for _ in range(num_actions):
-        action = torch.randint(3, (4,), generator=draw)
+        action = (torch.rand(4, 3, generator=draw) * state["action_mask"]).argmax(-1)
         step, state = env.step_and_maybe_reset(state.set("action", action))
         steps.append(step["next"].clone())
     return steps, count
@@ -45,12 +47,22 @@ def test_skipped_checks_change_no_episode(monkeypatch: pytest.MonkeyPatch) -> No
     assert num_some < 0.5 * num_every
 
 
-@pytest.mark.parametrize("bends", [False, True])
-def test_swimming_fish_stays_below_the_assumed_speed(
-    monkeypatch: pytest.MonkeyPatch, bends: bool
-) -> None:
-    control = Bend(bend_bl=0.2) if bends else Turn(turn_degrees=12.0)
-    task = Predation(**TINY | {"wall_margin_bl": 0.3}, control=control)
+def test_skipped_checks_change_no_episode_in_a_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    move_kinematically(monkeypatch)
+    task = make_gait_task(start_y_bl=(-0.8, 0.8))
+    some, num_some = run(task, 30)
+    monkeypatch.setattr(KarmanGait, "count_safe_steps", AbstractTask.count_safe_steps)
+    every, num_every = run(task, 30)
+    for one, other in zip(some, every, strict=True):
+        assert (one == other).all()
+    assert sum(int(step["terminated"].sum()) for step in every) > 5
+    assert num_some < 0.95 * num_every
+
+
+def find_largest_speed(
+    monkeypatch: pytest.MonkeyPatch, task: AbstractTask, actions: list[list[int]]
+) -> float:
+    """Return the largest speed of a marker, nodes per step, in actions of two flows."""
     env = make_flows(task, 2, seed=1)
     env.reset()
     largest, last = 0.0, env.solver.markers()
@@ -64,9 +76,29 @@ def test_swimming_fish_stays_below_the_assumed_speed(
             largest, last = max(largest, float(moved) / 2.0), env.solver.markers()
 
     monkeypatch.setattr(env.solver, "advance_", advance_)
-    for action in ([0, 2], [0, 1]):  # from rest, turning to both sides
+    for action in actions:  # from rest, turning to both sides
         env.step(TensorDict({"action": torch.tensor(action)}, env.batch_size))
+    return largest
+
+
+@pytest.mark.parametrize("bends", [False, True])
+def test_swimming_fish_stays_below_the_assumed_speed(
+    monkeypatch: pytest.MonkeyPatch, bends: bool
+) -> None:
+    control = Bend(bend_bl=0.2) if bends else Turn(turn_degrees=12.0)
+    task = Predation(**TINY | {"wall_margin_bl": 0.3}, control=control)
+    largest = find_largest_speed(monkeypatch, task, [[0, 2], [0, 1]])
     clearance = torch.tensor([task.wall_margin + 1.0])
     at_rest = {"clearance": clearance, "target": torch.full((1, 4), 99.0)}
     speed = 1.0 / float(task.count_safe_steps(TensorDict(at_rest, [1])))
+    assert 0.2 * speed < largest < 0.9 * speed
+
+
+def test_fish_in_a_stream_stays_below_the_assumed_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = make_wake_task()
+    largest = find_largest_speed(monkeypatch, task, [[1, 2], [0, 2]])
+    place = torch.tensor([[1.0, 0.0]])
+    far = {"clearance": torch.tensor([999.0]), "place": place}
+    margin = task.safe_area.measure_margin(place) * task.body_length
+    speed = float(margin / task.count_safe_steps(TensorDict(far, [1])))
     assert 0.2 * speed < largest < 0.9 * speed

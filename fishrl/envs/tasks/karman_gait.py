@@ -22,7 +22,9 @@ from fishrl.envs.steering import PIDSteering, Steering
 from fishrl.envs.streams import AbstractStreamTask, Stream
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
 from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 from fishrl.physics.levels.patch import RING, Patch
+from fishrl.physics.units import MAX_WALL_SPEED
 
 
 class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScene):
@@ -110,7 +112,7 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
         return len(self.stream.speeds_bl)
 
     @property
-    def known_senses(self) -> dict[str, Sense]:
+    def known_senses(self) -> Mapping[str, Sense]:
         """All senses of a fish in a stream."""
         return list_senses(self.lateral_line, stream_speed_bl=self.max_stream_speed_bl)
 
@@ -289,6 +291,22 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
         """Return whether the fish is in the danger area or at an edge."""
         hits_edge: Tensor = now["clearance"] < self.wall_margin
         return hits_edge | (self.safe_area.measure_margin(now["place"]) <= 0.0)
+
+    @property
+    def marker_speed(self) -> float:
+        """Bound on the speed of a marker in nodes per step, turns and the stream included.
+
+        It assumes that water in the wake is at most twice as fast as the stream.
+        """
+        turning = 0.0 if self.control.largest_bend else MAX_IMPOSED_SPEED
+        stream = self.scales.stream_speed if self.stream.changes is None else MAX_WALL_SPEED
+        return self.swimming_speed + turning + 2.0 * stream
+
+    def count_safe_steps(self, now: TensorDictBase) -> Tensor:
+        """Return how long the fish takes at least to an edge and to the danger area."""
+        to_edge = now["clearance"] - self.wall_margin
+        to_danger = self.safe_area.measure_margin(now["place"]) * self.body_length
+        return torch.minimum(to_edge, to_danger) / self.marker_speed
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return lateral line, true flow and diagnostics."""

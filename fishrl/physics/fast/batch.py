@@ -57,6 +57,10 @@ class FlowBatch:
         self.stepper = Stepper(
             config, self.layout, pytree.tree_map(lambda t: t[:group_size], self._fresh)
         )
+        layout = self.layout
+        self._last = torch.tensor([layout.width - 1.0, layout.height - 1.0], device=device)
+        slots = torch.tensor(layout.offsets(0, False), device=device)
+        self._slots = slots.view(-1, 1, 1, 1)  # of the nine populations
         self.groups = {
             number: FlowGroup(self.memory_of(number), self.stepper.list_all())
             for number in range(len(configs) // group_size)
@@ -94,10 +98,17 @@ class FlowBatch:
     def compile(self, *, with_check: bool, helps: bool = False) -> None:
         """Compile the step, as ``Stepper.compile``."""
         self.stepper.compile(self.first, with_check=with_check, helps=helps)
+        self._forget_checks()
 
     def compile_check(self) -> None:
         """Compile the check alone, for a process that reads flows which others advance."""
         self.stepper.check.compile(self.first.arguments[self.stepper.check][0])
+        self._forget_checks()
+
+    def _forget_checks(self) -> None:
+        """Let checks that ran before they were compiled be made again."""
+        for group in self.groups.values():
+            group.checker = None
 
     def is_new(self) -> bool:
         """Return whether ``compile`` would put new code on the disk."""
@@ -183,8 +194,7 @@ class FlowBatch:
         ``points`` ``[B, P, 2]`` (x, y) in nodes, before an even step: those outside the grid are
         moved to its edge, and where one is NaN, so is the result.
         """
-        layout, device = self.layout, points.device
-        last = torch.tensor([layout.width - 1.0, layout.height - 1.0], device=device).to(points)
+        layout, device, last = self.layout, points.device, self._last.to(points)
         place = torch.minimum(points.nan_to_num().clamp_min(0.0), last)
         first = torch.minimum(place.floor(), last - 1.0)
         right, up = (place - first).float().unbind(-1)
@@ -198,8 +208,8 @@ class FlowBatch:
         flow = torch.arange(len(points), device=device)[:, None, None]
         group, own = flow // layout.num_envs, flow % layout.num_envs
         cells = corners + own * layout.flow_length + layout.first_cell
-        stored = [self._populations[group, cells + offset] for offset in layout.offsets(0, False)]
-        fluid = compute_macroscopic(stored)
+        stored = self._populations[group, cells + self._slots]
+        fluid = compute_macroscopic(stored.unbind())
         values = torch.stack((fluid.rho, fluid.ux, fluid.uy), -1)
         mean = (weights[..., None] * values).sum(1)
         mean = mean.masked_fill(points.isnan().any(-1, keepdim=True), torch.nan)

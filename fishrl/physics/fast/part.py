@@ -117,6 +117,7 @@ class FlowGroup:
         nodes: the nine incoming populations ``[B, Y, X]`` before an even step.
         arguments: arguments of each part, at even and odd steps.
         repeater: the pair of steps, once it has been made.
+        checker: the check, once it has been made.
     """
 
     def __init__(self, memory: GroupMemory, parts: Iterable[Part]) -> None:
@@ -124,6 +125,7 @@ class FlowGroup:
         self.nodes = memory.incoming(0)
         self.arguments = {part: part.bind(memory) for part in parts}
         self.repeater: Repeater | None = None
+        self.checker: Repeater | None = None
 
     def write_(self, rows: Tensor, f: Tensor) -> None:
         """Set the incoming populations ``[N, Q, Y, X]`` of the flows ``rows`` ``[N]``, indices."""

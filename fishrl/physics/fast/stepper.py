@@ -65,7 +65,9 @@ class Stepper:
 
     def is_fine(self, group: FlowGroup) -> Tensor:
         """Return ``[B]``: whether density and speed are within the method, before an even step."""
-        self.check.run(*group.arguments[self.check][0])
+        if group.checker is None:
+            group.checker = Repeater([(self.check, group.arguments[self.check][0])])
+        group.checker.run(1)
         return self._is_fine.clone()
 
     def advance_(self, group: FlowGroup, num_steps: int) -> None:
