@@ -3,7 +3,10 @@
 from typing import Any
 
 import numpy as np
-from torchrl.envs import TransformedEnv
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import ExplorationType, TransformedEnv, set_exploration_type
 
 from fishrl.extras import show_install
 
@@ -99,3 +102,31 @@ class FlowVecEnv(VecEnv):
         """Turn infos of all rows into one dict per row."""
         values = {name: value for name, value in infos.items() if not name.startswith("_")}
         return [{k: value[row] for k, value in values.items()} for row in range(self.num_envs)]
+
+
+class Learned:
+    """A policy of fishrl with ``predict``, for Stable-Baselines3's ``evaluate_policy``.
+
+    Args:
+        policy: of ``fishrl.training.load_policy``, without a memory of its own.
+        envs: the flows in which it acts, for the legal actions.
+    """
+
+    def __init__(self, policy: TensorDictModuleBase, envs: FlowVecEnv) -> None:
+        self.policy, self.envs = policy, envs
+
+    def predict(
+        self,
+        observation: Array,
+        state: None = None,
+        episode_start: Array | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, None]:
+        """Return the actions for the present observations ``[B, n]`` of all flows, and no state."""
+        told = {"observation_stack": torch.as_tensor(observation)}
+        if not self.envs.vector.is_continuous:
+            told["action_mask"] = torch.as_tensor(self.envs.vector.action_masks())
+        kind = ExplorationType.DETERMINISTIC if deterministic else ExplorationType.RANDOM
+        with torch.no_grad(), set_exploration_type(kind):
+            action = self.policy(TensorDict(told, [len(observation)]))["action"]
+        return action.numpy(), None

@@ -7,11 +7,13 @@ import pytest
 import torch
 from sb3_contrib import MaskablePPO
 from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
+from tensordict.nn import TensorDictModule
 
 from fishrl.envs import Flows, Predation, make_env
 from fishrl.envs.control import Turn
-from fishrl.wrappers.stable_baselines import FlowVecEnv
+from fishrl.wrappers.stable_baselines import FlowVecEnv, Learned
 from tests.envs.conftest import CONTINUOUS, SMALL
 from tests.envs.small_tasks import MaskedTask
 
@@ -82,3 +84,12 @@ def test_maskable_ppo_takes_legal_actions() -> None:
     model.learn(96)  # an illegal action would end it with an error
     assert model.num_timesteps >= 96
     assert (~envs.vector.action_masks()).any() or model.rollout_buffer.action_masks.min() == 0
+
+
+def test_policy_acts_legally_in_evaluation() -> None:
+    envs = make(MaskedTask(**SMALL, time_limit=6), num_envs=2)
+    policy = TensorDictModule(lambda mask: mask.long().argmax(-1), ["action_mask"], ["action"])
+    _, lengths = evaluate_policy(
+        Learned(policy, envs), VecMonitor(envs), n_eval_episodes=2, return_episode_rewards=True
+    )
+    assert max(lengths) == 6  # an illegal action would end it with an error
