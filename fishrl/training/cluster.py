@@ -73,19 +73,23 @@ class ClusterCollector:
         self._has_joined = join_cluster(num_collectors, num_gpus=num_gpus * num_collectors)
         share = replace(flows, num_envs=num_envs // num_collectors)
         make = partial(_make_seeded, make_env, flows=share)
-        self._flows = RayCollector(
-            [partial(make, seed=seed + SEED_STRIDE * i) for i in range(num_collectors)],
-            explorer,
-            collector_class=collector_class,
-            frames_per_batch=num_envs,
-            total_frames=sys.maxsize,
-            init_random_frames=self._warmup_frames,
-            sync=True,
-            weight_sync_schemes={},  # _send_weights does it
-            storing_device="cpu",  # between machines
-            remote_configs={"num_cpus": 1, "num_gpus": num_gpus, "scheduling_strategy": "SPREAD"},
-        )
         with noticing_losses():
+            self._flows = RayCollector(
+                [partial(make, seed=seed + SEED_STRIDE * i) for i in range(num_collectors)],
+                explorer,
+                collector_class=collector_class,
+                frames_per_batch=num_envs,
+                total_frames=sys.maxsize,
+                init_random_frames=self._warmup_frames,
+                sync=True,
+                weight_sync_schemes={},  # _send_weights does it
+                storing_device="cpu",  # between machines
+                remote_configs={
+                    "num_cpus": 1,
+                    "num_gpus": num_gpus,
+                    "scheduling_strategy": "SPREAD",
+                },
+            )
             self._await_flows(num_gpus=num_gpus * num_collectors)
 
     def __iter__(self) -> Iterator[TensorDictBase]:

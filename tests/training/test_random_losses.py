@@ -52,14 +52,16 @@ class Killer:
             self.killed[name] += 1
             self._calls = self._draw.randrange(12)
             logger.warning("kill %d after %s", self.killed.total(), name)
-            self._thread = threading.Thread(target=self._kill, args=(0.05 * self._draw.random(),))
+            lost = self._draw.choice(self._machines.list_all_nodes()[1:])
+            self._machines.add_node(num_cpus=1, include_log_monitor=False)  # takes its place
+            self._thread = threading.Thread(
+                target=self._kill, args=(lost, 0.05 * self._draw.random())
+            )
             self._thread.start()
 
-    def _kill(self, seconds: float) -> None:
-        lost = self._draw.choice(self._machines.list_all_nodes()[1:])
+    def _kill(self, lost: Any, seconds: float) -> None:
         time.sleep(seconds)
         self._machines.remove_node(lost, allow_graceful=False)
-        self._machines.add_node(num_cpus=1, include_log_monitor=False)
 
     def wait(self) -> None:
         if self._thread is not None:
