@@ -260,9 +260,8 @@ def parse(overrides: Iterable[str]) -> list[Override]:
 def explain(error: Exception) -> ValueError:
     """Turn an error of hydra or omegaconf into one line."""
     if isinstance(error, MissingConfigException) and error.options:
-        said = str(unknown(str(error.missing_cfg_file).rpartition("/")[2], error.options))
-        more = "" if "did you mean" in said else "; --config-dir <folder> adds YAML files of yours"
-        return ValueError(said + more)
+        said = unknown(str(error.missing_cfg_file).rpartition("/")[2], error.options)
+        return ValueError(f"{said} --config-dir <folder> adds YAML files of yours")
     if isinstance(error.__cause__, OmegaConfBaseException) and "full_key" in str(error.__cause__):
         key = error.__cause__.full_key
         return ValueError(f"there is no {key!r} here; --config-dir <folder> adds YAML files")

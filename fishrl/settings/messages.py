@@ -82,5 +82,5 @@ def suggest(word: str, known: Iterable[str]) -> str:
 
 def unknown(word: str, known: Sequence[str]) -> ValueError:
     """Return the error for an unknown word, with the nearest known one or the whole list."""
-    near = suggest(word, known) or f". There is: {', '.join(known)}"
+    near = suggest(word, known) or f". There is: {', '.join(known)}."
     return ValueError(f"there is no {word!r}{near}")

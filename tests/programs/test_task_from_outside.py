@@ -118,3 +118,8 @@ def test_missing_module_names_pythonpath(outside: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(sys, "path", [p for p in sys.path if p != str(outside)])
     with pytest.raises(ValueError, match=r"hold_station.*PYTHONPATH"):
         train.main.read([f"--config-dir={outside / 'conf'}", "task=hold_station"])
+
+
+def test_unknown_task_names_the_folder_setting_after_the_nearest_name() -> None:
+    with pytest.raises(ValueError, match=r"did you mean 'station-v0'\? --config-dir <folder>"):
+        train.main.read(["task=hold_station"])
