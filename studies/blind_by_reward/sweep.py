@@ -118,10 +118,11 @@ def average(folder: Path, horizon: int) -> dict[str, torch.Tensor]:
 
 def score(arm: str, seed: int) -> None:
     """Score a run by each rule on each set of starts."""
-    run, results = RUNS / f"{arm}-{seed}", {}
+    run, results, stored = RUNS / f"{arm}-{seed}", {}, SCORES / f"{arm}-{seed}.pt"
     policy = load_policy(run)
+    weights = torch.load(stored, weights_only=True) if stored.is_file() else {}
     for rule, horizon in RULES.items():
-        policy.load_state_dict(average(run / "actors", horizon))
+        policy.load_state_dict(weights.get(rule) or average(run / "actors", horizon))
         for name, (start_seed, num, decisions) in SETS.items():
             task = replace(make_task(**ARMS[arm][0]), time_limit=decisions)
             env = make_env(task=task, flows=Flows(num_envs=16))
