@@ -31,9 +31,9 @@ def return_a_path() -> Result:
 
 
 def stop_parent(*, number: int, log: str) -> Result:
-    """Signal the process that runs the cases once the runs before are written."""
+    """Signal the process that runs the cases once the runs before are written, not only staged."""
     done = Path(log).parent / "results"
-    while len(list(done.rglob("*.json"))) < 2:
+    while len(list(done.glob("*/*.json"))) < 2:
         time.sleep(0.02)
     os.kill(os.getppid(), signal.Signals(number))
     time.sleep(600.0)
