@@ -1,4 +1,4 @@
-"""What bodies are told to do, which is bounded however it is told: by a call, a state, a file."""
+"""Bounds on commands to bodies, whatever writes them: a call, a state or a file."""
 
 from collections.abc import Sequence
 from math import pi

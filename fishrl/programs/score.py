@@ -47,7 +47,7 @@ from fishrl.viewer import check_folder
 from fishrl.wrappers.archives import load_archive
 
 FUNCTION = re.compile(r"[\w.]+:\w+")
-#: What a policy from elsewhere is told, and no more.
+#: Entries that a policy from elsewhere reads, and no more.
 SEEN = ("observation_stack", "action_mask", "is_init")
 
 
@@ -107,11 +107,11 @@ def find_policy(policy: str, version: Version, *, trust: bool) -> Scored:
 
 
 def _show_only(act: Policy) -> Policy:
-    """Return a policy that is told what ``SEEN`` names."""
+    """Return a policy that reads the entries of ``SEEN`` alone."""
 
     def decide(state: TensorDictBase) -> TensorDictBase:
-        told = act(state.select(*SEEN, strict=False))
-        return state.set("action", told["action"])
+        decided = act(state.select(*SEEN, strict=False))
+        return state.set("action", decided["action"])
 
     return decide
 

@@ -123,10 +123,10 @@ class Learned:
         deterministic: bool = True,
     ) -> tuple[Array, None]:
         """Return the actions for the present observations ``[B, n]`` of all flows, and no state."""
-        told = {"observation_stack": torch.as_tensor(observation)}
+        seen = {"observation_stack": torch.as_tensor(observation)}
         if not self.envs.vector.is_continuous:
-            told["action_mask"] = torch.as_tensor(self.envs.vector.action_masks())
+            seen["action_mask"] = torch.as_tensor(self.envs.vector.action_masks())
         kind = ExplorationType.DETERMINISTIC if deterministic else ExplorationType.RANDOM
         with torch.no_grad(), set_exploration_type(kind):
-            action = self.policy(TensorDict(told, [len(observation)]))["action"]
+            action = self.policy(TensorDict(seen, [len(observation)]))["action"]
         return action.numpy(), None

@@ -50,7 +50,7 @@ class Patch(Settings):
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Numbers of the bodies inside, where ``fit_patch`` has told all."""
+        """Numbers of the bodies inside, once ``fit_patch`` has listed them."""
         return self.bodies or ()
 
     @classmethod
