@@ -109,7 +109,8 @@ def test_training_whose_machines_are_killed_at_random_ends_as_an_undisturbed_one
         assert toy.rows("run") == read_rows(tmp_path / "whole")
         for part in ("loss", "optimiser"):
             ends = [read_part(tmp_path / name / "checkpoints" / "last", part) for name in RUNS]
-            assert all(map(torch.equal, *ends)), part
+            assert ends[0], part
+            assert all(torch.equal(*pair) for pair in zip(*ends, strict=True)), part
     finally:
         ray.shutdown()
         machines.shutdown()
