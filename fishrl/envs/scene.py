@@ -81,6 +81,7 @@ class Trail:
     key: str  #: key of the point
     colour: Colour = (90, 90, 90)  #: RGB colour of the line
     length_T: float = 30.0  #: how far back it reaches
+    is_dotted: bool = False  #: whether a dot is at each place, instead of a line through them
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -12,7 +13,7 @@ from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.scene import Area, Arrow, Choice, Curve, Field, Marks, Panel, Scene, Series, Trail
 from fishrl.envs.task import AbstractTask
 from fishrl.physics.bodies.fish import Fish
-from fishrl.physics.diagnostics import compute_pressure, compute_vorticity
+from fishrl.physics.diagnostics import compute_pressure
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import Scales
@@ -38,15 +39,17 @@ _FEATURES = {
 _SIDES = ("right", "left")
 
 
-def make_scene(task: AbstractTask) -> Scene:
+def make_scene(task: AbstractTask, *, shows_levels: bool = False) -> Scene:
     """Return the scene to draw of a task: the flow, its bodies and edges, reward and action.
 
     The first bodies are fish; with several, plots have a line for each. A task with ``HasScene``
-    adds to it.
+    adds to it. With ``shows_levels`` there are the outlines of finer grids, and dots where their
+    lower left corners have been.
     """
     extension = find_extension(task, HasScene)
     config, scales, num_fish = task.flow_config(), task.scales, task.num_fish
     obstacles, margin = _name_obstacles(config), task.wall_margin
+    patches, shifts = _draw_patches(config) if shows_levels else ((), ())
     (left, bottom), (right, top) = config.edges
     force_bl = _FORCE_BL / _find_fastest(config, scales) ** 2
     edges = Area(
@@ -60,9 +63,9 @@ def make_scene(task: AbstractTask) -> Scene:
         height=config.height,
         title=_describe(task, extension),
         fields=make_fields(config, scales),
-        curves=(*_draw_bodies(num_fish, obstacles), *_draw_patches(config)),
+        curves=(*_draw_bodies(num_fish, obstacles), *patches),
         arrows=_draw_arrows(config, scales.body_length, ["fish", *obstacles], force_bl=force_bl),
-        trails=tuple(Trail(key=name_fish("head", i)) for i in range(num_fish)),
+        trails=(*(Trail(key=name_fish("head", i)) for i in range(num_fish)), *shifts),
         areas=(edges,),
         panels=(
             Panel(
@@ -95,14 +98,16 @@ def _draw_bodies(num_fish: int, obstacles: Sequence[str]) -> tuple[Curve, ...]:
     )
 
 
-def _draw_patches(config: FlowConfig) -> tuple[Curve, ...]:
-    """Return the outlines of finer grids, with levels."""
-    names = (f"patch_{number}" for number in range(1, len(config.list_grids())))
-    return tuple(Curve(key=name, colour=PATCH, is_filled=False, order=3.0) for name in names)
+def _draw_patches(config: FlowConfig) -> tuple[tuple[Curve, ...], tuple[Trail, ...]]:
+    """Return the outlines of finer grids, and where shifts have brought them."""
+    names = [f"patch_{number}" for number in range(1, len(config.list_grids()))]
+    dots = (Trail(key=f"{name}_corner", colour=PATCH, is_dotted=True) for name in names)
+    looks: dict[str, Any] = {"colour": PATCH, "is_filled": False, "order": 3.0}
+    return tuple(Curve(key=name, **looks) for name in names), tuple(dots)
 
 
-def _read_patches(solver: InPlaceSolver) -> dict[str, Tensor]:
-    """Return the corners ``[B, 4, 2]`` of finer grids, counter-clockwise."""
+def read_patches(solver: InPlaceSolver) -> dict[str, Tensor]:
+    """Return the corners ``[B, 4, 2]`` of finer grids, counter-clockwise from the lower left."""
     corners, found = solver.corners.double(), dict[str, Tensor]()
     around = corners.new_tensor([[0, 0], [1, 0], [1, 1], [0, 1]])
     for number, (width, height, spacing) in enumerate(solver.config.list_grids()[1:], 1):
@@ -219,11 +224,18 @@ def make_fields(config: FlowConfig, scales: Scales) -> tuple[Field, ...]:
     )
 
 
-#: Each field ``[N, Y, X]`` from density, velocity and scales.
-_COMPUTE: Mapping[str, Callable[[Tensor, Tensor, Scales], Tensor]] = {
-    "vorticity": lambda rho, u, scales: compute_vorticity(u) * scales.period,
-    "pressure": lambda rho, u, scales: compute_pressure(rho) / scales.reference_speed**2,
-    "speed": lambda rho, u, scales: torch.hypot(u[:, 0], u[:, 1]) / scales.reference_speed,
+def _read_speed(solver: InPlaceSolver, rows: Tensor | None) -> Tensor:
+    _, u = solver.macroscopic(rows)
+    return torch.hypot(u[:, 0], u[:, 1])
+
+
+#: Each field ``[N, Y, X]`` of the flows in ``rows`` ``[B]``, divided by its unit.
+_READ: Mapping[str, Callable[[InPlaceSolver, Tensor | None, Scales], Tensor]] = {
+    "vorticity": lambda solver, rows, scales: solver.vorticity(rows) * scales.period,
+    "pressure": lambda solver, rows, scales: (
+        compute_pressure(solver.macroscopic(rows)[0]) / scales.reference_speed**2
+    ),
+    "speed": lambda solver, rows, scales: _read_speed(solver, rows) / scales.reference_speed,
 }
 
 
@@ -235,8 +247,7 @@ def compute_fields(
     rows: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """Return fields ``[B, Y, X]`` of ``make_fields``, float16; 0 in flows outside ``rows``."""
-    fluid = solver.macroscopic(rows)
-    fields = {key: _COMPUTE[key](*fluid, scales).half() for key in keys}
+    fields = {key: _READ[key](solver, rows, scales).half() for key in keys}
     if rows is not None:
         for key, field in fields.items():
             fields[key] = field.new_zeros(len(rows), *field.shape[1:])
@@ -260,7 +271,8 @@ def read_scene(
     extension = find_extension(task, HasScene)
     scales, num_fish = task.scales, task.num_fish
     values = compute_fields(solver, scales, keys=fields, rows=rows)
-    values |= _read_patches(solver)
+    patches = read_patches(solver)
+    values |= patches | {f"{name}_corner": corners[:, 0] for name, corners in patches.items()}
     for index, name in enumerate(("fish", *_name_obstacles(solver.config))):
         values |= _read_body(solver, index, name, scales)
     every = [_read_fish(solver, index, scales) for index in range(num_fish)]

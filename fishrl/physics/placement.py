@@ -117,8 +117,9 @@ def _have_boxes_apart(one: Tensor, other: Tensor) -> bool:
     return bool(is_apart.any(-1).all())
 
 
-def find_water(outlines: Sequence[Tensor], config: FlowConfig, water: Tensor) -> Tensor:
-    """Return ``[B, Y, X]`` bool: those nodes of ``water`` that lie inside no sharp skin."""
+def find_water(outlines: Sequence[Tensor], config: FlowConfig, rows: Tensor) -> Tensor:
+    """Return ``[B, Y, X]`` bool: nodes of the flows ``rows`` ``[B]`` that are in no sharp skin."""
+    water = rows[:, None, None].expand(-1, config.height, config.width)
     for outline in () if config.skin.has_water_inside else outlines:
         water = water & ~_find_covered(outline, config.width, config.height)
     return water

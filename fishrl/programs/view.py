@@ -69,6 +69,7 @@ def record(
             field=view.field,
             field_limit=view.field_limit,
             policy="/".join(Path(given["policy"]).parts[-2:]),
+            shows_levels=view.shows_levels,
         )
         film, drawing = Recording(scene=scene), None
         if save.suffix not in FILMS:

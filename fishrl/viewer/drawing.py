@@ -195,7 +195,11 @@ class Drawing:
         while points[0][0] < frame.time - trail.length_T:
             points.popleft()
         strip = np.stack([point for _, point in points])
-        self._log(path, self._make_lines([strip], trail.colour, 0.5, 1.0))
+        shape = self._make_lines([strip], trail.colour, 0.5, 1.0)
+        if trail.is_dotted:
+            radius = 0.5 * self.scene.body_length / 50.0
+            shape = self._rerun.Points2D(strip, radii=radius, colors=[trail.colour], draw_order=1.0)
+        self._log(path, shape)
 
     def _draw_choice(self, path: str, choice: Choice, frame: Frame) -> None:
         fish = ... if choice.fish is None else choice.fish

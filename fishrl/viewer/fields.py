@@ -14,8 +14,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from torch import Tensor
 
+from fishrl.envs.views import read_patches
 from fishrl.files import staged, write_whole
-from fishrl.physics import InPlaceSolver, Scales, compute_pressure, compute_vorticity
+from fishrl.physics import InPlaceSolver, Scales, compute_pressure
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -33,8 +34,9 @@ def read_fields(solver: InPlaceSolver, scales: Scales) -> dict[str, Tensor]:
     """Return the current state of B flows in units of L and T, for ``make_dataset``.
 
     Returns:
-        ``time`` ``[B]``, the fields of ``FIELDS`` ``[B, Y, X]``, NaN inside sharp skins, and
-        ``outline_0``, ``outline_1``, ... ``[B, N, 2]`` of the bodies.
+        ``time`` ``[B]``, the fields of ``FIELDS`` ``[B, Y, X]``, NaN inside sharp skins,
+        ``outline_0``, ``outline_1``, ... ``[B, N, 2]`` of the bodies, and ``patch_1``, ... ``[B, 4,
+        2]`` of finer grids: outside these, values are linear between the nodes of coarser ones.
     """
     length, period = scales.body_length, scales.period
     rho, u = solver.macroscopic()
@@ -45,12 +47,13 @@ def read_fields(solver: InPlaceSolver, scales: Scales) -> dict[str, Tensor]:
         "u": u[:, 0] / speed,
         "v": u[:, 1] / speed,
         "p": compute_pressure(rho) / speed**2,
-        "vorticity": compute_vorticity(u, is_water=water) * period,
+        "vorticity": solver.vorticity(is_water=water) * period,
     }
     return {
         "time": solver.body.age / period,
         **{name: values.masked_fill(~water, nan) for name, values in fields.items()},
         **{f"outline_{body}": solver.markers(body) / length for body in bodies},
+        **{name: corners / length for name, corners in read_patches(solver).items()},
     }
 
 
@@ -85,11 +88,13 @@ def make_dataset(
         name: (("time", "y", "x"), values.pop(name), _describe(text, unit))
         for name, (unit, text) in FIELDS.items()
     }
-    words = _describe("closed outline of a body, (x, y)", "L")
-    outlines = {
-        name: (("time", name.replace("outline", "marker"), "component"), value, words)
-        for name, value in values.items()
-    }
+    outlines = {}
+    for name, value in values.items():
+        what, points = "a body", name.replace("outline", "marker")
+        if name.startswith("patch_"):
+            what, points = "a finer grid", "corner"
+        words = _describe(f"closed outline of {what}, (x, y)", "L")
+        outlines[name] = (("time", points, "component"), value, words)
     attributes = {"Conventions": "CF-1.11", "nodes_per_L": body_length, **(about or {})}
     return xr.Dataset({**fields, **outlines}, coords=axes, attrs=attributes)
 
@@ -136,10 +141,11 @@ def write_vtk(flow: xr.Dataset, path: Path | str) -> None:
         velocity = (now["u"].values.ravel(), now["v"].values.ravel(), zeros)
         image.point_data["velocity"] = np.stack(velocity, 1)
         parts: list[tuple[str, pv.DataSet]] = [(f"flow_{index:05d}.vti", image)]
-        for name in filter(lambda key: key.startswith("outline_"), map(str, now.data_vars)):
+        for name in (str(key) for key in now.data_vars if key not in FIELDS):
             points = np.pad(now[name].values, ((0, 0), (0, 1)))
-            face = pv.PolyData(points, faces=[len(points), *range(len(points))])
-            parts.append((f"{name}_{index:05d}.vtp", face))
+            loop = [len(points) + 1, *range(len(points)), 0]
+            line, face = pv.PolyData(points, lines=loop), pv.PolyData(points, faces=loop)
+            parts.append((f"{name}_{index:05d}.vtp", line if name.startswith("patch_") else face))
         for part, (name, mesh) in enumerate(parts):
             mesh.save(folder / name)
             file = quoteattr(f"{folder.name}/{name}")

@@ -90,10 +90,11 @@ class FlowAxes:
             cmap=RED_BLUE if scene.field.is_signed else WHITE_BLUE,
             vmin=scene.field.low, vmax=scene.field.limit, interpolation="bilinear",
         )  # fmt: skip
-        self.paths = {
-            trail.key: axes.plot([], [], color=FISH, linewidth=0.9, linestyle=(0, (4, 2)))[0]
-            for trail in scene.trails
-        }
+        line: dict[str, Any] = {"color": FISH, "linewidth": 0.9, "linestyle": (0, (4, 2))}
+        self.paths = {}
+        for trail in scene.trails:
+            dots = {"color": _scale(trail.colour), "marker": ".", "ms": 3, "ls": ""}
+            self.paths[trail.key] = axes.plot([], [], **(dots if trail.is_dotted else line))[0]
         for area in scene.areas:
             (x0, y0), (x1, y1) = (np.array(corner) / length for corner in (area.low, area.high))
             look: dict[str, Any] = {"fill": False, "edgecolor": _scale(area.colour), "lw": 0.7}

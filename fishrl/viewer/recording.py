@@ -28,6 +28,7 @@ def make_env_scene(
     field: str = "vorticity",
     field_limit: float | None = None,
     policy: str = "",
+    shows_levels: bool = False,
 ) -> Scene:
     """Return the scene of a task, without plots of entries that its environment does not output.
 
@@ -36,11 +37,12 @@ def make_env_scene(
         field: the field that is drawn.
         field_limit: value at which its colours saturate; by default the limit of the field.
         policy: name of the policy for the title.
+        shows_levels: draw where finer grids are; see ``ViewerSettings``.
 
     Raises:
         ValueError: for an unknown field.
     """
-    scene: Scene = views.make_scene(env.base_env.task)
+    scene: Scene = views.make_scene(env.base_env.task, shows_levels=shows_levels)
     num_fish, terms = env.base_env.task.num_fish, name_terms(env)
     if len(terms) > 1:
         series = (views.plot_fish(term, term.removeprefix(TERM), num_fish) for term in terms)

@@ -23,6 +23,8 @@ class ViewerSettings(Settings):
         field_limit: value at which the colours of the field saturate; by default 15 for vorticity
             and a value for the fastest stream for pressure and speed; films and figures choose one
             for the wake.
+        shows_levels: with levels, draw the outlines of finer grids, and a dot wherever their lower
+            left corners were in earlier frames.
         port: port of the live viewer; the next free one if it is taken.
         live_share: largest share of the wall time that the live view may take.
     """
@@ -33,6 +35,7 @@ class ViewerSettings(Settings):
     field: Annotated[Literal["vorticity", "pressure", "speed"], Role.HARMLESS] = "vorticity"
     field_format: Annotated[FieldFormat, Role.HARMLESS] = "jpeg"
     field_limit: Annotated[PositiveFloat | None, Role.HARMLESS] = None
+    shows_levels: Annotated[bool, Role.HARMLESS] = False
     port: Annotated[int, Field(ge=1024, le=65000), Role.HARMLESS] = 9876
     live_share: Annotated[PositiveFloat, Field(le=1), Role.HARMLESS] = 0.1
 

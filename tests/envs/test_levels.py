@@ -91,10 +91,14 @@ def test_rows_of_every_task_reset_diverge_and_resume_alone_on_levels(
 
 
 @pytest.mark.parametrize("task", EVERY[:2], ids=lambda task: type(task).__name__)
-def test_outline_of_the_patch_is_drawn_and_holds_the_fish(task: AbstractTask) -> None:
+def test_outline_of_the_patch_is_drawn_on_request_and_holds_the_fish(task: AbstractTask) -> None:
     env = FlowEnv(task=task, flows=Flows(num_envs=2, compile=False, num_workers=0), seed=1)
-    (outline,) = [curve for curve in make_scene(task).curves if not curve.is_filled]
-    corners = read_scene(task, env.solver, env.start)[outline.key]
+    assert all(curve.is_filled for curve in make_scene(task).curves)
+    scene, values = make_scene(task, shows_levels=True), read_scene(task, env.solver, env.start)
+    (outline,) = [curve for curve in scene.curves if not curve.is_filled]
+    (dots,) = [trail for trail in scene.trails if trail.is_dotted]
+    corners = values[outline.key]
+    assert torch.equal(values[dots.key], corners[:, 0])
     low, high = corners[:, :1], corners[:, 2:3]
     (_, (width, height, _)) = task.flow_config().list_grids()
     assert (high - low == torch.tensor([width - 1, height - 1])).all()

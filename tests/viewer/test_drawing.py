@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from fishrl.envs.scene import Field, Frame
+from fishrl.envs.scene import Field, Frame, Trail
 from fishrl.viewer import Drawing
 from fishrl.viewer.colours import PURPLE_GREEN, RED_BLUE, paint, quantise
 from fishrl.viewer.drawing import TIMELINE
@@ -79,6 +79,13 @@ def test_trail_is_cut_to_length_and_restarts_with_episode() -> None:
     strips = [what.strips for _, what in notes.logged["flow_2/world/trajectory_head"]]
     lengths = [len(strip.as_arrow_array().to_pylist()[0]) for strip in strips]
     assert lengths == [1, 2, 3, 4, 5, 5, 1, 2]
+
+
+def test_dotted_trail_has_a_dot_at_each_place() -> None:
+    scene = replace(make_scene(), trails=(Trail(key="head", is_dotted=True),))
+    notes = draw(*map(make_frame, range(3)), scene=scene)
+    dots = [what.positions for _, what in notes.logged["flow_2/world/trajectory_head"]]
+    assert [len(each.as_arrow_array()) for each in dots] == [1, 2, 3]
 
 
 def test_u8_levels_restore_signed_and_unsigned_fields() -> None:

@@ -10,6 +10,7 @@ from torch.utils import _pytree as pytree
 from fishrl.memory import check_memory
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.diagnostics import compute_vorticity
 from fishrl.physics.fast.checks import check_tensor
 from fishrl.physics.fast.flow_memory import FlowData, GroupMemory, carve_memory
 from fishrl.physics.fast.layout import InPlaceLayout
@@ -171,6 +172,11 @@ class FlowBatch:
             fluids.append(compute_macroscopic(nodes))
         velocities = [torch.stack((fluid.ux, fluid.uy), 1) for fluid in fluids]
         return torch.cat([fluid.rho for fluid in fluids]), torch.cat(velocities)
+
+    def vorticity(self, rows: Tensor | None = None, is_water: Tensor | None = None) -> Tensor:
+        """Return vorticity ``[N, Y, X]`` of flows ``rows`` ``[B]``; see ``compute_vorticity``."""
+        water = is_water if is_water is None or rows is None else is_water[rows]
+        return compute_vorticity(self.macroscopic(rows)[1], is_water=water)
 
     def is_fine(self) -> Tensor:
         """Return ``[B]``: whether density and speed are within the method."""

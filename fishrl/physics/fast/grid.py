@@ -1,16 +1,19 @@
 """One grid of a batch of flows with levels, and its place among the others."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate
+from torch.nn.functional import interpolate, pad
 
+from fishrl.physics.boundaries import Periodic
 from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.fast.part import Part
 from fishrl.physics.fast.transfer_parts import Moving, PatchMemory
+from fishrl.physics.flow import FlowConfig
 from fishrl.physics.levels.grids import Level
+from fishrl.physics.levels.patch import RING
 from fishrl.physics.levels.transfer import clamp_origin
 
 
@@ -85,10 +88,42 @@ def find_origins(grids: Sequence[Grid], corners: Tensor) -> list[Tensor]:
     return origins
 
 
-def read_fields(grid: Grid) -> Tensor:
+def read_fluid(grid: Grid) -> Tensor:
     """Return density and velocity of a grid ``[B, 3, Y, X]``."""
     rho, u = grid.batch.macroscopic()
     return torch.cat((rho[:, None], u), 1)
+
+
+def read_vorticity(grid: Grid, *, is_water: Tensor | None = None) -> Tensor:
+    """Return the vorticity of a grid ``[B, 1, Y, X]`` per step of the finest level.
+
+    ``is_water`` ``[B, Y, X]`` is of the nodes of the finest level.
+    """
+    spacing, (width, height) = grid.level.spacing, grid.size
+    if is_water is None or spacing > 1:  # bodies are in the finest grids
+        return grid.batch.vorticity()[:, None] / spacing
+    places = zip(is_water, grid.find_corner().tolist(), strict=True)
+    own = [water[y : y + height, x : x + width] for water, (x, y) in places]
+    return grid.batch.vorticity(is_water=torch.stack(own))[:, None]
+
+
+def lay_together(
+    grids: Sequence[Grid], config: FlowConfig, read: Callable[[Grid], Tensor]
+) -> Tensor:
+    """Return values ``[B, C, Y, X]`` at nodes of the finest level, each of the finest grid there.
+
+    ``read`` returns those ``[B, C, Y, X]`` of a grid; between its nodes they are linear.
+    """
+    edges, spacing = config.boundaries, grids[0].level.spacing
+    wraps = isinstance(edges.left, Periodic), isinstance(edges.bottom, Periodic)
+    field = pad(read(grids[0]), (0, int(wraps[0]), 0, int(wraps[1])), mode="circular")
+    field = refine_field(field, spacing)[:, :, : config.height, : config.width]
+    for grid in grids[1:]:
+        own = refine_field(read(grid)[:, :, RING:-RING, RING:-RING], grid.level.spacing)
+        corner = grid.find_corner() + RING * grid.level.spacing
+        for row, (x, y) in enumerate(corner.tolist()):
+            field[row, :, y : y + own.shape[2], x : x + own.shape[3]] = own[row]
+    return field
 
 
 def refine_field(values: Tensor, factor: int) -> Tensor:

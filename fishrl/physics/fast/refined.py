@@ -1,22 +1,22 @@
 """A batch of flows with levels: one ``FlowBatch`` for each grid, and the parts between them."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from itertools import combinations
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.boundaries import Periodic
 from fishrl.physics.fast.batch import FlowBatch, make_fresh, name_numbers, restore_
 from fishrl.physics.fast.grid import (
     Grid,
     find_moving,
     find_origins,
-    read_fields,
-    refine_field,
+    lay_together,
+    read_fluid,
+    read_vorticity,
 )
 from fishrl.physics.fast.part import Bound, Part, Repeater, Step, compile_parts, copy_tree
 from fishrl.physics.fast.transfer_parts import (
@@ -341,20 +341,15 @@ class RefinedBatch:
         They are those of the N of ``rows`` ``[B]``. Between the nodes of coarser levels they are
         linear.
         """
-        field = read_fields(self._root)
-        edges = self._config.boundaries
-        wraps = isinstance(edges.left, Periodic), isinstance(edges.bottom, Periodic)
-        field = pad(field, (0, int(wraps[0]), 0, int(wraps[1])), mode="circular")
-        field = refine_field(field, self._root.level.spacing)
-        field = field[:, :, : self._config.height, : self._config.width]
-        for grid in self._grids[1:]:
-            own = read_fields(grid)[:, :, RING:-RING, RING:-RING]
-            own = refine_field(own, grid.level.spacing)
-            corner = grid.find_corner() + RING * grid.level.spacing
-            for row, (x, y) in enumerate(corner.tolist()):
-                field[row, :, y : y + own.shape[2], x : x + own.shape[3]] = own[row]
+        field = lay_together(self._grids, self._config, read_fluid)
         field = field if rows is None else field[rows]
         return field[:, 0], field[:, 1:]
+
+    def vorticity(self, rows: Tensor | None = None, is_water: Tensor | None = None) -> Tensor:
+        """Return vorticity as ``FlowBatch``, differences being those of each grid's own nodes."""
+        read = partial(read_vorticity, is_water=is_water)
+        field = lay_together(self._grids, self._config, read)[:, 0]
+        return field if rows is None else field[rows]
 
     def name_state(self) -> dict[str, list[Tensor]]:
         """Return everything that the future depends on, as ``FlowBatch.name_state``."""

@@ -72,8 +72,7 @@ class InPlaceSolver:
             flows_per_launch=flows_per_launch,
         )
         self._batch, self._group_size = self._execution.batch, self._execution.group_size
-        rise = [float(each.ramp_steps) for each in configs]
-        self._rise = torch.tensor(rise, dtype=torch.float64, device=device)
+        self._rise = self._batch.flow.params.ramp_steps.clone()
         # several bodies overlap in the middle until they are placed
         has_many = len(self.config.bodies) > 1
         self._unplaced = self._choose(None) if has_many else None
@@ -334,11 +333,13 @@ class InPlaceSolver:
         """Return density ``[N, Y, X]`` and velocity ``[N, 2, Y, X]`` of all flows or ``rows``."""
         return self._batch.macroscopic(None if rows is None else self._choose(rows))
 
+    def vorticity(self, rows: Tensor | None = None, *, is_water: Tensor | None = None) -> Tensor:
+        """Return ``compute_vorticity`` ``[N, Y, X]``, of each level by its own nodes."""
+        return self._batch.vorticity(None if rows is None else self._choose(rows), is_water)
+
     def find_water(self) -> Tensor:
         """Return ``[B, Y, X]`` bool: nodes of the flow, all but those inside a sharp skin."""
-        size = self.num_envs, self.config.height, self.config.width
-        every = torch.ones(size, dtype=torch.bool, device=self.device)
-        return find_water(self._outlines(), self.config, every)
+        return find_water(self._outlines(), self.config, self._choose(None))
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return density ``[B, P]`` and velocity ``[B, P, 2]`` at points ``[B, P, 2]`` (x, y).

@@ -45,7 +45,11 @@ def record_run(
     """
     task = env.base_env.task
     scene = make_env_scene(
-        env, field=settings.field, field_limit=settings.field_limit, policy=folder.name
+        env,
+        field=settings.field,
+        field_limit=settings.field_limit,
+        policy=folder.name,
+        shows_levels=settings.shows_levels,
     )
     flows, max_decisions = list(range(min(_MAX_FLOWS, len(starts)))), None
     if scene.goal is None:

@@ -21,7 +21,7 @@ from fishrl.physics import (
     Sponge,
 )
 from fishrl.physics.fast.refined import make_batch
-from fishrl.physics.flow import FlowState, make_params, make_rest
+from fishrl.physics.flow import FlowState, make_params, make_rest, make_uniform
 from fishrl.physics.levels.grids import make_patches
 from tests.physics.flows import advance, read_bodies, start_solver
 
@@ -131,6 +131,28 @@ def test_fields_and_samples_agree_on_all_levels() -> None:
     torch.testing.assert_close(at[0], rho[0, y, x])
     torch.testing.assert_close(speed[0], u[0, :, y, x].T)
     assert solver.sample(torch.full((1, 1, 2), torch.nan))[0].isnan().all()
+
+
+@pytest.mark.parametrize("levels", [2, 3])
+def test_vorticity_of_a_parabola_is_exact_across_levels_up_to_the_skin(levels: int) -> None:
+    """Central differences of a parabola are; those of values between coarse nodes are not."""
+    solver = start(make_config(levels=levels, width=193, height=193))
+    filled = []
+    for number, (width, height, spacing) in enumerate(solver.config.list_grids()):
+        y = solver.corners[0, number, 1] + spacing * torch.arange(height, dtype=torch.float64)
+        ux = (1e-6 * (y - 90.0) ** 2)[None, :, None].expand(1, height, width)
+        filled.append(make_uniform(0.0 * ux, ux, 0.0 * ux).float())
+    solver.set_populations_(filled)
+    water = solver.find_water()
+    exact = -2e-6 * (torch.arange(193.0) - 90.0)[None, :, None].expand(1, 193, 193)
+    near = slice(2**levels, -(2**levels))  # differences at edges are one-sided
+    for is_water in (None, water):
+        found = solver.vorticity(is_water=is_water)
+        known = torch.ones_like(water) if is_water is None else ~found.isnan()
+        assert (known == water).all() or is_water is None
+        error = (found - exact).where(known, 0.0).abs()[:, near, near]
+        at_skin = 1e-6 if is_water is not None else 0.0  # one-sided, a node
+        assert error.max() < 2e-9 + at_skin and error.median() < 2e-9
 
 
 def test_patches_that_meet_are_refused_and_end_their_flow() -> None:
