@@ -8,7 +8,7 @@ from torch import Tensor
 
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.fast.flow_memory import GroupMemory
-from fishrl.physics.fast.part import Part, Repeater, copy_tree
+from fishrl.physics.fast.part import Part, Repeater
 from fishrl.physics.fast.recording import Call
 from fishrl.physics.levels.grids import Frame, Level, find_middle, find_shift
 from fishrl.physics.levels.patch import RING
@@ -18,19 +18,17 @@ from fishrl.physics.levels.transfer import (
     coarsen,
     count,
     fill_ring,
-    find_ring,
-    list_layers,
     list_restricted,
     list_sources,
     number_cells,
+    number_ring,
 )
 
 SETTINGS: dict[str, dict[str, object]] = {
-    "cpu": {"cpp.threads": 1},
+    # no check of indices, which tables hold
+    "cpu": {"cpp.threads": 1, "assert_indirect_indexing": False},
     "cuda": {"combo_kernels": True},
 }
-# Populations of the parent, its cells, numbers of rows and cells, views of the patch.
-FillingGrids = tuple[list[Tensor], list[Tensor], Tensor, list[list[Tensor]]]
 
 
 class PatchMemory(NamedTuple):
@@ -46,29 +44,6 @@ class PatchMemory(NamedTuple):
         return self.patch.populations
 
 
-def make_filling(width: int, height: int) -> Part:
-    """Return the part that fills the ring of a patch, at the parity of its parent's next step."""
-
-    def collect(memory: PatchMemory, parity: int) -> tuple[FillingGrids, Tensor, Tensor]:
-        layout, device = memory.parent.layout, memory.origin.device
-        sources = list_sources(width, height, layout.row_length)
-        grids = (
-            memory.parent.cells(parity),
-            [each.contiguous().to(device) for each in sources],
-            torch.tensor([layout.row_length, layout.first_cell], device=device),
-            find_ring(memory.patch.incoming(0)),
-        )
-        return grids, memory.origin, memory.patch.flow.params.tau
-
-    def act(grids: FillingGrids, origin: Tensor, tau: Tensor) -> None:
-        parent, sources, (row, first), ring = grids
-        values = fill_ring(parent, sources, count(origin, row) + first, tau)
-        for places, own in zip(ring, values, strict=True):
-            copy_tree(places, own)
-
-    return Part("filling", collect, act, SETTINGS, any_grid=True)
-
-
 class Cells(NamedTuple):
     """Where populations of some nodes lie in a buffer."""
 
@@ -76,7 +51,7 @@ class Cells(NamedTuple):
     offsets: Tensor  #: ``[Q]`` int64, of the slots of each incoming population
     first: Tensor  #: ``[B]`` int64, cells of node (0, 0)
     row: Tensor  #: int64, cells from a row to the next
-    cells: Tensor  #: ``[K]`` int64, counted from those
+    cells: Tensor  #: ``[...]`` int64, counted from those
 
     @staticmethod
     def find(memory: GroupMemory, parity: int, cells: Tensor) -> "Cells":
@@ -88,8 +63,42 @@ class Cells(NamedTuple):
             offsets=torch.tensor(layout.offsets(parity, False), device=device),
             first=flows * layout.flow_length + layout.first_cell,
             row=torch.tensor(layout.row_length, device=device),
-            cells=cells.to(device),
+            cells=cells.contiguous().to(device),
         )
+
+    def read(self, origin: Tensor | None = None) -> Sequence[Tensor]:
+        """Return nine incoming populations ``[B, ...]``; the nodes may count from an origin."""
+        return self.data[self._find(origin)].unbind()
+
+    def write_(self, values: Tensor, origin: Tensor | None = None) -> None:
+        """Set them to ``[Q, B, ...]``."""
+        self.data.index_put_((self._find(origin),), values)
+
+    def _find(self, origin: Tensor | None) -> Tensor:
+        first = self.first if origin is None else self.first + count(origin, self.row)
+        return add(self.offsets, add(first, self.cells))
+
+
+def make_filling(width: int, height: int) -> Part:
+    """Return the part that fills the ring of a patch, at the parity of its parent's next step."""
+
+    def collect(
+        memory: PatchMemory, parity: int
+    ) -> tuple[tuple[Cells, Cells, Tensor], Tensor, Tensor]:
+        ring, chosen = number_ring(width, height, memory.patch.layout.row_length)
+        sources = list_sources(width, height, memory.parent.layout.row_length)
+        grids = (
+            Cells.find(memory.patch, 0, ring),
+            Cells.find(memory.parent, parity, sources),
+            chosen.to(memory.origin.device),
+        )
+        return grids, memory.origin, memory.patch.flow.params.tau
+
+    def act(grids: tuple[Cells, Cells, Tensor], origin: Tensor, tau: Tensor) -> None:
+        ring, sources, chosen = grids
+        ring.write_(fill_ring(sources.read(origin), tau)[..., chosen])
+
+    return Part("filling", collect, act, SETTINGS, any_grid=True)
 
 
 def make_restriction(*, is_whole: bool) -> Part:
@@ -100,9 +109,9 @@ def make_restriction(*, is_whole: bool) -> Part:
     """
 
     def choose(cells: Tensor) -> Tensor:
-        is_all = is_whole or min(cells.shape) <= 2 * RING
-        chosen = [cells[None]] if is_all else [own for (own,) in list_layers([cells[None]])]
-        return torch.cat([own.flatten() for own in chosen])
+        chosen = torch.ones_like(cells, dtype=torch.bool)
+        chosen[RING:-RING, RING:-RING] = is_whole
+        return cells[chosen]
 
     def collect(memory: PatchMemory, parity: int) -> tuple[tuple[Cells, Cells], Tensor, Tensor]:
         layout, row = memory.patch.layout, memory.parent.layout.row_length
@@ -118,11 +127,7 @@ def make_restriction(*, is_whole: bool) -> Part:
 
     def act(cells: tuple[Cells, Cells], origin: Tensor, tau: Tensor) -> None:
         fine, coarse = cells
-        source = add(fine.first, fine.cells)
-        target = add(coarse.first + count(origin, coarse.row), coarse.cells)
-        f = coarsen([fine.data[source + offset] for offset in fine.offsets.unbind()], tau)
-        for offset, values in zip(coarse.offsets.unbind(), f, strict=True):
-            coarse.data.index_put_((target + offset,), values)
+        coarse.write_(torch.stack(coarsen(fine.read(), tau)), origin)
 
     return Part("restriction", collect, act, SETTINGS, any_grid=True)
 

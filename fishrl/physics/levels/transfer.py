@@ -19,36 +19,17 @@ Density and momentum are the same. Both ways this acts on incoming populations:
 Dropping eps and q at the interface, as others do against noise, is worse than no patch.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from fishrl.physics.collision import Moments, measure_moments, rebuild
 from fishrl.physics.levels.patch import RING
 
 #: Layers of a patch that do not reach the parent: the ring, and as many that depend on it most.
 FIRST_RESTRICTED = 4
-
-
-def list_layers(planes: Sequence[Tensor]) -> list[list[Tensor]]:
-    """Return views ``[B, 2, n]`` of the two outermost layers of planes ``[B, h, w]``.
-
-    Bottom and top come first, outer and inner layer; then left and right, without their ends.
-    """
-    layers = []
-    for crop in (0, RING):
-        own = [plane.mT if crop else plane for plane in planes]
-        depth, length = own[0].shape[-2:]
-        for layer in range(RING):
-            both = slice(layer, None, depth - 1 - 2 * layer)
-            layers.append([plane[:, both, crop : length - crop] for plane in own])
-    return layers
-
-
-def find_ring(planes: Sequence[Tensor]) -> list[list[Tensor]]:
-    """Return views of a patch's ring: of each layer the parent's nodes, then those between."""
-    return [[p[..., first::2] for p in own] for own in list_layers(planes) for first in (0, 1)]
 
 
 def number_cells(height: int, width: int, row: int, first: int = 0) -> Tensor:
@@ -67,32 +48,49 @@ def list_parents(width: int, height: int, row: int) -> Tensor:
     return number_cells(height // 2 + 3, width // 2 + 3, row, -1)
 
 
-def list_sources(width: int, height: int, row: int) -> list[Tensor]:
-    """Return those ``[2, 4, n + 2]`` from which two opposite sides are filled, outermost first."""
+def list_sources(width: int, height: int, row: int) -> Tensor:
+    """Return those ``[2, 4, N]`` from which two opposite sides are filled, outermost line first.
+
+    Bottom and top come first, along x; then left and right, along y.
+    """
     cells = list_parents(width, height, row)
-    sides = cells, cells.mT[:, RING // 2 : -RING // 2]
-    return [torch.stack((own[:4], own[-4:].flip(0))) for own in sides]
+    return torch.cat([_list_lines(own, 4) for own in (cells, cells.mT)], -1)
 
 
-def fill_ring(
-    parent: Sequence[Tensor], sources: Sequence[Tensor], first: Tensor, tau: Tensor
-) -> Iterator[list[Tensor]]:
-    """Yield what the parent puts into each of the views of ``find_ring``.
+def number_ring(width: int, height: int, row: int) -> tuple[Tensor, Tensor]:
+    """Return the numbers ``[K]`` of the nodes in a patch's ring, ``row`` from one row to the next.
+
+    Second: which of the values that ``fill_ring`` returns are theirs.
+    """
+    cells, sides = number_cells(height, width, row), []
+    for own, crop in ((cells, 0), (cells.mT, RING)):  # corners belong to bottom and top
+        lines = _list_lines(own, RING)[..., crop : own.shape[1] - crop]
+        padded = pad(lines, (crop, crop + 5), value=-1)  # to two for each of the sources
+        sides.append(padded.unflatten(-1, (-1, 2)).mT)
+    numbers = torch.cat(sides, -1)[..., :-3].flatten()
+    (chosen,) = (numbers >= 0).nonzero(as_tuple=True)
+    return numbers[chosen], chosen
+
+
+def _list_lines(cells: Tensor, num: int) -> Tensor:
+    """Return the first and the last lines ``[2, num, n]`` of numbers, outermost first."""
+    return torch.stack((cells[:num], cells[-num:].flip(0)))
+
+
+def fill_ring(f: Sequence[Tensor], tau: Tensor) -> Tensor:
+    """Return the populations ``[Q, B, 8 (N - 3)]`` that the parent puts into a patch's ring.
+
+    They are those of both layers of both sides, on and between the parent's nodes. Some are between
+    the end of one side and the beginning of another: ``number_ring`` leaves them out.
 
     Args:
-        parent: nine populations ``[B, N]`` of the parent's nodes.
-        sources: of ``list_sources``.
-        first: number ``[B]`` of the parent's node at which the patch begins.
+        f: nine populations ``[B, 2, 4, N]`` of ``list_sources``.
         tau: ``[B]``, the patch's.
     """
-    for source in sources:
-        f = read(parent, add(first, source))
-        moments = measure_moments(f)
-        ratio = _compute_ratio(tau, f[0][:, :, 0])
-        outer, inner = [m[:, :, 1] for m in moments], [_halve(m.mT)[..., 0] for m in moments]
-        for own in (outer, inner):
-            for values in ([m[..., 1:-1] for m in own], [_halve(m) for m in own]):
-                yield rebuild(Moments(*values), ratio, 0.5)
+    moments = torch.stack(measure_moments(f))  # in memory, each moment once
+    layers = torch.stack((moments[..., 1, :], _halve(moments.mT)[..., 0]), -2)
+    nodes = torch.stack((layers[..., 1:-2], _halve(layers)), -2).flatten(2)
+    return torch.stack(rebuild(Moments(*nodes), _compute_ratio(tau, nodes[0]), 0.5))
 
 
 def refine(f: Sequence[Tensor], tau: Tensor) -> list[Tensor]:
@@ -140,11 +138,10 @@ def fill(patch: Tensor, parent: Tensor, origin: Tensor, tau: Tensor) -> Tensor:
         tau: ``[B]``, the patch's.
     """
     (height, width), row = patch.shape[-2:], parent.shape[-1]
-    sources = list_sources(width, height, row)
-    values = fill_ring(parent.flatten(2).unbind(1), sources, count(origin, row), tau)
-    ring = find_ring([number_cells(height, width, width)[None]])
-    places = torch.cat([own.flatten() for (own,) in ring]).expand(len(patch), -1)
-    return write(patch, places, torch.cat([torch.stack(own, 1).flatten(2) for own in values], -1))
+    sources = add(count(origin, row), list_sources(width, height, row))
+    values = fill_ring(read(parent.flatten(2).unbind(1), sources), tau)
+    places, chosen = number_ring(width, height, width)
+    return write(patch, places.expand(len(patch), -1), values[..., chosen].transpose(0, 1))
 
 
 def fill_all(size: tuple[int, int], parent: Tensor, origin: Tensor, tau: Tensor) -> Tensor:
