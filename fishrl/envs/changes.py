@@ -12,6 +12,7 @@ import torch
 from pydantic import Field, PositiveFloat
 from torch import Tensor
 
+from fishrl.envs.constants import make_constant
 from fishrl.envs.draws import draw_uniform
 from fishrl.settings import Settings
 
@@ -49,7 +50,7 @@ class StreamSwitches(Settings):
 
         ``first`` ``[E]`` are the speeds at the start, ``key`` ``[E]`` int64 keys of the episodes.
         """
-        speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=key.device)
+        speeds = make_constant(self.speeds_bl, torch.float64, key.device)
         num = ceil(duration_T / self.interval_T - 1e-9) - 1
         chances = draw_uniform(_DRAW, key, torch.zeros_like(key), num)
         drawn, now = [], first.double()

@@ -1,6 +1,6 @@
 """Checks of what the methods of a task return, so that errors surface early."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -15,6 +15,31 @@ from fishrl.physics.bodies.motion import Bending
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 NUM_STARTS = 256
+
+
+class Problems:
+    """Problems of a decision: a CPU tells them at once, of a GPU the host reads all of them once.
+
+    A graph that repeats the decision writes to the same flags, so that ``tell`` reads its own.
+    """
+
+    def __init__(self) -> None:
+        self._noted: list[tuple[Tensor, Callable[[], None]]] = []
+
+    def note(self, is_right: Tensor, tell: Callable[[], None]) -> None:
+        """Call ``tell``, which raises or logs, unless all of ``is_right`` are true."""
+        if is_right.is_cuda:
+            self._noted.append((is_right.all(), tell))
+        elif not is_right.all():
+            tell()
+
+    def tell(self) -> None:
+        """Tell what was noted, in order: the one time that the host waits."""
+        if self._noted:
+            flags, tells = zip(*self._noted, strict=True)
+            for is_right, tell in zip(torch.stack(flags).tolist(), tells, strict=True):
+                if not is_right:
+                    tell()
 
 
 def check_starts_of(task: AbstractTask) -> None:
@@ -88,10 +113,12 @@ def check_terms(task: AbstractTask, terms: Any, shape: tuple[int, ...]) -> dict[
     return {n: check_rows(task, f"reward {n!r}", term, shape) for n, term in terms.items()}
 
 
-def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None:
+def check_command(
+    task: AbstractTask, order: Any, rows: tuple[int, ...], problems: Problems
+) -> None:
     """Raise ValueError for a wrong output of ``task.command``, in particular wrong units.
 
-    ``rows`` is the shape of its numbers.
+    ``rows`` is the shape of its numbers, which ``problems`` notes.
     """
     expected = "Command(turn=..., frequency=...)"
     _require(task, "command", isinstance(order, Command), order, expected)
@@ -114,16 +141,21 @@ def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None
         if (value := getattr(order, name)) is not None:
             checked = check_rows(task, f"command {name}", value, rows)
             is_legal[name] = (checked >= low) & (checked <= high)
-    if is_legal and not torch.stack([*is_legal.values()]).all():  # asks the device once
+
+    def tell() -> None:
         for name, rows_legal in is_legal.items():
             got = getattr(order, name).tolist()
             _require(task, f"command {name}", bool(rows_legal.all()), got, limits[name][2])
 
+    if is_legal:
+        problems.note(torch.stack([*is_legal.values()]), tell)
 
-def check_action(action: Tensor, mask: Tensor) -> Tensor:
+
+def check_action(action: Tensor, mask: Tensor, problems: Problems) -> Tensor:
     """Return actions as int64; raise ValueError for the first one that its mask forbids.
 
-    The mask is ``[..., num_actions]``. Actions are ``[B]``, or ``[B, M]`` of several fish.
+    The mask is ``[..., num_actions]``. Actions are ``[B]``, or ``[B, M]`` of several fish. On a
+    GPU, which does not wait for ``problems``, the first legal ones take the place of illegal ones.
     """
     most = mask.shape[-1] - 1
     if action.shape != mask.shape[:-1] or action.is_floating_point():
@@ -135,17 +167,22 @@ def check_action(action: Tensor, mask: Tensor) -> Tensor:
     action = action.long()  # as an index, bytes would be a mask
     is_legal = mask.gather(-1, action.clamp(0, most).unsqueeze(-1)).squeeze(-1)
     is_legal = is_legal & (action >= 0) & (action <= most)
-    if not is_legal.all():
+
+    def tell() -> None:
         index, where = _find_first(~is_legal)
         legal = mask[index].nonzero().squeeze(-1).tolist()
         raise ValueError(
             f"action = {int(action[index])} in {where}: legal is {legal}; policies must "
             "honour 'action_mask', and random actions are legal in environments of make_env"
         )
-    return action
+
+    problems.note(is_legal, tell)
+    return torch.where(is_legal, action, mask.int().argmax(-1)) if action.is_cuda else action
 
 
-def scale_action(action: Tensor, bounds: Sequence[tuple[float, float]]) -> Tensor:
+def scale_action(
+    action: Tensor, bounds: Sequence[tuple[float, float]], problems: Problems
+) -> Tensor:
     """Map actions ``[B, n]`` in [-1, 1] to the ``bounds`` of their n numbers, float64.
 
     Those of several fish are ``[B, M, n]``.
@@ -158,9 +195,12 @@ def scale_action(action: Tensor, bounds: Sequence[tuple[float, float]]) -> Tenso
             f"action of shape {tuple(action.shape)}: must hold {len(bounds)} numbers in each row"
         )
     is_legal = (action.abs() <= 1.0).all(-1)
-    if not is_legal.all():
+
+    def tell() -> None:
         index, where = _find_first(~is_legal)
         raise ValueError(f"action = {action[index].tolist()} in {where}: allowed is -1 to 1")
+
+    problems.note(is_legal, tell)
     columns = zip(action.double().unbind(-1), bounds, strict=True)
     return torch.stack([a + 0.5 * (value + 1.0) * (b - a) for value, (a, b) in columns], -1)
 

@@ -8,12 +8,9 @@ transforms.
 """
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import reduce
 from inspect import Signature, signature
-from math import inf
 from typing import Any
 
 import torch
@@ -23,20 +20,12 @@ from torchrl.data import Categorical, Composite
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import MarlGroupMapType
 
-from fishrl.envs.agents import TERM, group, name_entry, shape_fish
-from fishrl.envs.checks import (
-    check_action,
-    check_answers,
-    check_command,
-    check_starts_of,
-    check_terms,
-    scale_action,
-)
+from fishrl.envs.agents import name_entry
+from fishrl.envs.checks import check_answers, check_starts_of
+from fishrl.envs.decision import Decision, merge
 from fishrl.envs.draws import draw_uniform
-from fishrl.envs.extensions import HasHistory, find_extension
 from fishrl.envs.flows import Flows
-from fishrl.envs.schedule import make_schedule
-from fishrl.envs.sense import read_senses
+from fishrl.envs.repeating import Repeated
 from fishrl.envs.specs import make_specs
 from fishrl.envs.task import AbstractTask
 from fishrl.physics.fast.checks import check_device
@@ -57,6 +46,9 @@ class FlowEnv(EnvBase):
     finite or too fast for the method, if a body has left the grid, or if bodies overlap. It is then
     truncated with reward 0, with ``diverged`` set and with the observation of the last decision; it
     is counted and reset without affecting other rows.
+
+    On a GPU a decision is one graph from its second repetition on, unless ``on_frame`` is given:
+    the host waits for it once, and refuses an illegal action only then. See ``repeating``.
 
     Args:
         task: the task.
@@ -101,18 +93,9 @@ class FlowEnv(EnvBase):
             task.check_starts(starts)
             starts = starts.to(self.device)
         self.task, self.starts, self.on_frame = task, starts, on_frame
-        self._shape = shape_fish(task, flows.num_envs)
         if task.num_fish > 1:
             names = [f"fish_{number}" for number in range(task.num_fish)]
             self.group_map = MarlGroupMapType.ALL_IN_ONE_GROUP.get_group_map(names)
-        self._history = find_extension(task, HasHistory)  # the task, or one that records nothing
-        self._schedule = make_schedule(
-            task.n_substeps,
-            checks=task.checks_per_action,
-            frames=frames_per_action,
-            samples=self._history.num_samples,
-            unit=2**task.levels,
-        )
         self._rows = torch.arange(flows.num_envs, device=self.device)
         self._seed, self._next_start = seed, 0
         self._episode = torch.zeros_like(self._rows)
@@ -123,10 +106,17 @@ class FlowEnv(EnvBase):
         self.solver = InPlaceSolver(
             config=task.flow_config(), frequency=1.0 / task.scales.period, **vars(flows)
         )
+        self._decision = Decision(
+            task,
+            self.solver,
+            frames_per_action=frames_per_action,
+            on_diverged=self._count_diverged,
+        )
+        self._decide = Repeated(self._decision.run, "a decision")
         self.start, _ = self._draw_starts(~self.is_resting)
         self._next_start = 0
         task.place_(self.solver, ~self.is_resting, self.start)
-        self.now = self._begin()
+        self.now = self._decision.begin(self.start)
         self._make_specs()  # reports an invalid task before the compilation
         self.solver.compile()
 
@@ -135,7 +125,7 @@ class FlowEnv(EnvBase):
 
     def measure(self) -> TensorDict:
         """Measure the current flows; also valid within an action."""
-        return self.task.measure(self.solver, self.start).to(self.device)
+        return self._decision.measure(self.start)
 
     @contextmanager
     def set_starts(
@@ -154,18 +144,6 @@ class FlowEnv(EnvBase):
         finally:
             self.starts, self._next_start, self.on_frame = before
             self.is_resting = torch.zeros_like(self.is_resting)
-
-    def _begin(self) -> TensorDict:
-        """Measure at the beginning of an episode, with the first sample repeated."""
-        now, sensed, num = self.measure(), self._sense(), self._history.num_samples
-        self._measured, self._sensors = list(now.keys()), list(sensed.keys())
-        now.update(sensed.apply(lambda t: t.unsqueeze(1).expand(-1, num, *t.shape[1:])))
-        return now.update(self._history.begin(now))
-
-    def _sense(self) -> TensorDict:
-        has_series = self._history.num_samples > 0
-        sensed = self._history.sense(self.solver, self.start) if has_series else {}
-        return TensorDict(sensed, self.batch_size, device=self.device)
 
     def _make_specs(self) -> None:
         """Derive the specs from the task and a first measurement."""
@@ -195,142 +173,59 @@ class FlowEnv(EnvBase):
         if tensordict is not None and "_reset" in tensordict:
             rows = tensordict["_reset"].reshape(self.batch_size)
         drawn, index = self._draw_starts(rows)
-        self.start = _merge(rows, drawn, self.start)
+        self.start = merge(rows, drawn, self.start)
         self._start_index = torch.where(rows, index, self._start_index)
         self._episode = self._episode + rows
         self.task.place_(self.solver, rows, self.start)
-        self.now = _merge(rows, self._begin(), self.now)
+        self.now = merge(rows, self._decision.begin(self.start), self.now)
         flags = ("diverged", "done", "terminated", "truncated")
-        return self._write(self._no_terms, **dict.fromkeys(flags, torch.zeros_like(rows)))
+        none = dict.fromkeys(flags, torch.zeros_like(rows))
+        written = self._decision.write(self.now, self._no_terms, **none)
+        return written.set("start_index", self._start_index.clone())
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        action = self._read_action(tensordict[name_entry(self.task, "action")])
-        before = self.now.copy().update(self._read_inputs(tensordict))
-        command = self.task.command(action, before)
-        check_command(self.task, command, self._shape)
-        self.task.prepare_(self.solver, self.start)
-        straight = torch.zeros(self._shape, device=self.device)
-        steer = command.turn if command.bend is None else command.bend
-        self.solver.command_(
-            straight if steer is None else steer,
-            self.task.n_substeps,
-            command.frequency,
-            command.amplitude,
+        given = {
+            "action": tensordict[name_entry(self.task, "action")],
+            "now": self.now,
+            "inputs": self._read_inputs(tensordict),
+            "start": self.start,
+            "is_resting": self.is_resting,
+        }
+        if self.on_frame is None:
+            after, problems = self._decide(given)
+        else:  # which may look at anything
+            after, problems = self._decision.run(given, self._show_frame)
+        self.now = after["now"]
+        problems.tell()
+        return after["written"].set("start_index", self._start_index.clone())
+
+    def _show_frame(self, is_moving: Tensor, is_ending: Tensor) -> None:
+        self.is_moving, self.is_ending = is_moving, is_ending
+        if self.on_frame is not None:
+            self.on_frame(self)
+
+    def _count_diverged(self, diverged: Tensor) -> None:
+        rows = diverged.nonzero().squeeze(-1).tolist()
+        self.num_diverged += len(rows)
+        meet = " (bodies overlap)" if (diverged & self.solver.overlaps).any() else ""
+        logger.warning(
+            "flows %s diverged%s and were truncated; %d so far", rows, meet, self.num_diverged
         )
-        now, diverged = self._advance(before)
-        now.update(dict(command.kept)).update(self._history.remember(before, action, now))
-        self.now = _merge(~diverged, now, self.now)
-        if diverged.any():
-            rows = diverged.nonzero().squeeze(-1).tolist()
-            self.num_diverged += len(rows)
-            meet = " (bodies overlap)" if (diverged & self.solver.overlaps).any() else ""
-            logger.warning(
-                "flows %s diverged%s and were truncated; %d so far", rows, meet, self.num_diverged
-            )
-        terminated = self.task.is_terminated(self.now) & ~diverged
-        is_lost = diverged.view(-1, *(1,) * (len(self._shape) - 1))
-        terms = check_terms(self.task, self.task.reward(before, self.now), self._shape)
-        terms = {name: torch.where(is_lost, 0.0, term) for name, term in terms.items()}
-        result = self._write(
-            terms,
-            diverged=diverged,
-            done=terminated | diverged,
-            terminated=terminated,
-            truncated=diverged,
-        )
-        reward = reduce(torch.add, terms.values()).float()
-        return result.set(name_entry(self.task, "reward"), reward.unsqueeze(-1))
-
-    def _advance(self, before: TensorDict) -> tuple[TensorDict, Tensor]:
-        """Run the flows for one action.
-
-        Returns each row's measurement at its termination or at the end of the action, with its
-        sensor series (undefined in diverged rows), and ``[B]`` bool, the diverged rows.
-        """
-        rows = _Rows(
-            now=before.select(*self._measured),
-            sensed=before.select(*self._sensors).apply(lambda series: series[:, -1]),
-            has_ended=self.is_resting,
-            diverged=torch.zeros_like(self.is_resting),
-        )
-        reached = 0  # steps of the action; no row ends within the other number
-        safe_until = self._count_safe_steps(before, self.is_resting)
-        for stop in self._schedule:
-            # not <=: NaN asks for a check
-            is_check = stop.is_last or (stop.is_check and not stop.step <= safe_until)
-            on_frame = self.on_frame if stop.is_frame else None
-            if not (is_check or on_frame or stop.is_sample):
-                continue
-            self.solver.advance_(stop.step - reached, ~rows.has_ended)
-            reached = stop.step
-            self.is_moving, self.is_ending = ~rows.has_ended, torch.zeros_like(rows.has_ended)
-            if stop.is_sample:  # a row that has ended keeps what it sensed last
-                rows.sensed = _merge(rows.has_ended, rows.sensed, self._sense())
-                rows.samples.append(rows.sensed)
-            if is_check:
-                safe_until = reached + self._check(rows, is_last=stop.is_last)
-            if on_frame:
-                on_frame(self)
-        now = rows.now.update(torch.stack(rows.samples, 1)) if rows.samples else rows.now
-        return now, rows.diverged
-
-    def _check(self, rows: "_Rows", *, is_last: bool) -> float:
-        """Measure rows that end here; return a number of steps within which no other row ends."""
-        measured, has_ended = self.measure(), rows.has_ended
-        self.is_ending = self.task.is_terminated(measured) & ~has_ended
-        is_new = ~has_ended if is_last else self.is_ending
-        # Checking whole fields is expensive: on a CPU only where rows have just ended; to ask a
-        # GPU whether any have would be to wait for it.
-        if is_new.is_cuda or is_new.any():
-            rows.diverged = rows.diverged | is_new & self.solver.is_diverged()
-            rows.now = _merge(is_new, measured, rows.now)
-            rows.has_ended = has_ended | is_new
-            if not rows.samples:
-                rows.sensed = _merge(is_new, self._sense(), rows.sensed)
-        return 0.0 if is_last else self._count_safe_steps(measured, rows.has_ended)
-
-    def _count_safe_steps(self, now: TensorDict, has_ended: Tensor) -> float:
-        """Return how long no row ends after a measurement; 0 on a GPU, which would have to wait."""
-        if has_ended.is_cuda:
-            return 0.0
-        return float(self.task.count_safe_steps(now).masked_fill(has_ended, inf).min())
-
-    def _read_action(self, action: Tensor) -> Tensor:
-        """Return legal actions in the form that the task expects."""
-        bounds = self.task.action_bounds
-        if bounds is not None:
-            return scale_action(action, bounds)
-        return check_action(action, self.task.action_mask(self.now))
 
     def _read_inputs(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
         """Return the entries that the task reads in addition to the action."""
-        missing = [name for name in self._history.inputs if name not in tensordict]
+        names = self._decision.history.inputs
+        missing = [name for name in names if name not in tensordict]
         if missing:
             raise ValueError(
                 f"{type(self.task).__name__} reads {missing}, which this step's tensordict lacks: "
                 "append the transform that writes it (make_env(transforms=[...])), or configure "
                 "the task not to read it"
             )
-        return {name: tensordict[name].reshape(self.batch_size) for name in self._history.inputs}
-
-    def _write(self, terms: Mapping[str, Tensor], **flags: Tensor) -> TensorDict:
-        """Return observation, mask, terms of the reward, reported entries and flags, as columns."""
-        own = {"observation": self.task.observe(self.now)}
-        if senses := self.task.critic_senses:
-            own["critic_observation"] = read_senses(senses, self.now)
-        own |= {TERM + name: term.float().unsqueeze(-1) for name, term in terms.items()}
-        if self.task.action_bounds is None:
-            own["action_mask"] = self.task.action_mask(self.now).clone()
-        columns = {**self.task.report(self.now), **flags}
-        written = {
-            **group(own, self._shape),
-            "start_index": self._start_index.clone(),
-            **{
-                name: (value.unsqueeze(-1) if value.dim() == 1 else value).clone()
-                for name, value in columns.items()
-            },
+        return {
+            name: tensordict[name].reshape(self.batch_size)
+            for name in self._decision.history.inputs
         }
-        return TensorDict(written, self.batch_size, device=self.device)
 
     @property
     def seed(self) -> int:
@@ -376,24 +271,3 @@ class FlowEnv(EnvBase):
         """End the solver's processes, if any."""
         super().close(raise_if_closed=raise_if_closed)
         self.solver.close()
-
-
-@dataclass
-class _Rows:
-    """What has become of each row within an action."""
-
-    now: TensorDict  #: measurement at its end; before, that at the decision
-    sensed: TensorDict  #: latest sensor readings
-    has_ended: Tensor  #: ``[B]`` bool
-    diverged: Tensor  #: ``[B]`` bool
-    samples: list[TensorDict] = field(default_factory=list)  #: sensor series, oldest first
-
-
-def _merge(rows: Tensor, new: TensorDict, old: TensorDict) -> TensorDict:
-    """Return the entries of ``old``, with the values of ``new`` in ``rows`` ``[B]``."""
-    if not rows.is_cuda and (rows == rows[0]).all():  # one of them, itself
-        return new.select(*old.keys()) if rows[0] else old
-    return old.apply(
-        lambda kept, fresh: torch.where(rows.view(-1, *(1,) * (kept.dim() - 1)), fresh, kept),
-        new,
-    )

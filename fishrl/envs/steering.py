@@ -8,7 +8,7 @@ observations; the body turns smoothly over the interval. The fish faces upstream
 import hashlib
 from abc import ABC, abstractmethod
 from dataclasses import field
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from math import pi, radians
 from pathlib import Path
@@ -145,9 +145,15 @@ class PolicySteering(Settings, Steering):
         """Return the turn of the most probable action."""
         every = self.decisions_per_T
         values = observations[:, every - 1 :: every].flatten(1).float()
-        for number, (weight, bias) in enumerate(self.layers):
-            values = (relu(values) if number else values) @ weight.to(values).mT + bias.to(values)
+        for number, (weight, bias) in enumerate(_place_layers(self, values.device)):
+            values = (relu(values) if number else values) @ weight.mT + bias
         return radians(self.turn_degrees) / every * (values.argmax(-1).double() - 1.0)
+
+
+@cache
+def _place_layers(steering: PolicySteering, device: torch.device) -> list[tuple[Tensor, Tensor]]:
+    """Return its layers on a device, float32."""
+    return [(w.to(device, torch.float32), b.to(device, torch.float32)) for w, b in steering.layers]
 
 
 def load_weights(path: str | Path) -> list[tuple[Tensor, Tensor]]:

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.envs.changes import StreamSwitches
+from fishrl.envs.constants import make_constant
 from fishrl.envs.scene import Area
 from fishrl.envs.starts import place_fish
 from fishrl.envs.task import AbstractTask
@@ -96,7 +97,7 @@ class Stream(Settings):
         """
         if self.changes is None:
             return {}
-        first = torch.tensor(self.speeds_bl, dtype=torch.float64, device=flow.device)[flow]
+        first = make_constant(self.speeds_bl, torch.float64, flow.device)[flow]
         return {"stream_speeds": self.changes.draw_speeds(first, key, duration_T)}
 
 
@@ -227,10 +228,10 @@ class AbstractStreamTask(AbstractTask):
         ``[B, 2]`` and heading ``[B]`` of the fish.
         """
         flow, (position, heading) = starts["flow_index"], place
-        speeds = torch.tensor(self.stream.speeds_bl, dtype=torch.float64, device=rows.device)
+        speeds = make_constant(self.stream.speeds_bl, torch.float64, rows.device)
         solver.set_stream_speed_(self.scales.reference_speed * speeds[flow], rows)
         if self.discs:
-            places = torch.tensor(self.disc_places).to(position)
+            places = make_constant(tuple(self.disc_places), position.dtype, position.device)
             position = torch.stack((position, places[flow]), 1)
             params = _make_params(self.discs, rows.device)
             solver.set_body_(1, pytree.tree_map(lambda each: each[flow], params), rows)
@@ -247,7 +248,8 @@ class AbstractStreamTask(AbstractTask):
         if changes is None or not starts["stream_speeds"].shape[1]:
             return
         speeds, age = starts["stream_speeds"], solver.body.age[:, None]
-        times = speeds.new_tensor(changes.list_times(speeds.shape[1])) * self.scales.period
+        times_T = tuple(changes.list_times(speeds.shape[1]))
+        times = make_constant(times_T, speeds.dtype, speeds.device) * self.scales.period
         num, num_before = ((times <= now + 1e-6).sum(1) for now in (age, age - self.n_substeps))
         target = speeds.gather(1, (num[:, None] - 1).clamp_min(0))[:, 0]
         solver.set_stream_speed_(
@@ -266,7 +268,7 @@ class AbstractStreamTask(AbstractTask):
             return {"flow_index": first.clone()}
         speed = solver.stream_speed / self.scales.reference_speed
         flows = (self.stream.speeds_bl, self.stream.diameters_bl)
-        known, sizes = torch.tensor(flows, dtype=speed.dtype, device=speed.device)
+        known, sizes = make_constant(flows, speed.dtype, speed.device)
         difference = (speed[:, None] - known).abs()
         is_other = sizes != sizes[first][:, None]
         return {

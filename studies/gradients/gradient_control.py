@@ -32,7 +32,7 @@ from torchrl.modules import MLP, ProbabilisticActor
 from torchrl.objectives.value.functional import vec_td_lambda_return_estimate
 
 from fishrl.envs import Command, make_env, run_episodes
-from fishrl.envs.checks import scale_action
+from fishrl.envs.checks import Problems, scale_action
 from fishrl.envs.episodes import Policy
 from fishrl.envs.macro_actions import (
     AbstractFrequencyTask,
@@ -230,7 +230,7 @@ class Swimmers:
     def step(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Take actions ``[B, 2]`` in [-1, 1]; return reward, terminated and done ``[B]``."""
         task, before, (config, params, state) = self.task, self.now, self.flows
-        command = task.command(scale_action(action, task.action_bounds), before)
+        command = task.command(scale_action(action, task.action_bounds, Problems()), before)
         num_steps = task.n_substeps
         fish = self.flows.body._replace(
             turn=command.turn,

@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import AbstractTask, FlowEnv, KarmanGait, Predation
+from fishrl.envs import AbstractTask, KarmanGait, Predation
 from fishrl.envs.control import Bend, Turn
 from tests.envs.conftest import SMALL, make_flows, move_kinematically
 from tests.envs.test_karman_gait import make_task as make_gait_task
@@ -15,16 +15,16 @@ from tests.envs.test_real_wake import make_task as make_wake_task
 
 
 def run(task: AbstractTask, num_actions: int, **options: Any) -> tuple[list[TensorDict], int]:
-    """Return every step of random actions, with resets, and the number of measurements."""
+    """Return every step of random actions, with resets, and the number of stops."""
     env, count = make_flows(task, 4, seed=7, **options), 0
-    measure = FlowEnv.measure
+    advance_ = env.solver.advance_
 
-    def count_and_measure() -> TensorDict:
+    def count_and_advance_(num_steps: int, rows: torch.Tensor) -> None:
         nonlocal count
         count += 1
-        return measure(env)
+        advance_(num_steps, rows)
 
-    env.measure = count_and_measure  # type: ignore[method-assign]
+    env.solver.advance_ = count_and_advance_  # type: ignore[method-assign]
     draw, state, steps = torch.Generator().manual_seed(3), env.reset(), []
     for _ in range(num_actions):
         action = (torch.rand(4, 3, generator=draw) * state["action_mask"]).argmax(-1)

@@ -23,7 +23,7 @@ import tempfile
 import traceback
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 SOURCE = Path(__file__).with_name("device.cpp")
 
@@ -62,7 +62,7 @@ _load()
 import torch  # noqa: E402
 from torch import Tensor  # noqa: E402
 from torch.utils import _pytree as pytree  # noqa: E402
-from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
+from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes  # noqa: E402
 
 GENERATORS: tuple[torch.Generator, ...] = ()
 
@@ -143,9 +143,19 @@ def _launches(func: Any, leaves: list[Any]) -> bool:
 class Waits(TorchDispatchMode):
     """Count what makes the host wait, by the innermost line of fishrl, and all launches."""
 
+    active: ClassVar[list[Waits]] = []
+
     def __init__(self) -> None:
         super().__init__()
         self.lines, self.launches = collections.Counter(), 0
+
+    def __enter__(self) -> Waits:
+        self.active.append(self)
+        return super().__enter__()
+
+    def __exit__(self, *error: object) -> None:
+        self.active.remove(self)
+        super().__exit__(*error)
 
     @property
     def total(self) -> int:
@@ -186,11 +196,15 @@ class CUDAGraph:
 
     @torch.no_grad()
     def replay(self) -> None:
-        for func, args, kwargs, old in self.calls:
-            new = func(*args, **kwargs)
-            for place, value in zip(pytree.tree_leaves(old), pytree.tree_leaves(new), strict=True):
-                if _is_gpu(place) and place.data_ptr() != value.data_ptr():
-                    place.copy_(value)
+        for waits in Waits.active:
+            waits.launches += 1
+        with _disable_current_modes():  # of all its operators, the one launch is counted
+            for func, args, kwargs, old in self.calls:
+                new = func(*args, **kwargs)
+                leaves = zip(pytree.tree_leaves(old), pytree.tree_leaves(new), strict=True)
+                for place, value in leaves:
+                    if _is_gpu(place) and place.data_ptr() != value.data_ptr():
+                        place.copy_(value)
 
     def pool(self) -> tuple[int, int]:
         return (0, 0)
@@ -254,12 +268,12 @@ class graph:  # as torch.cuda.graph
 
 #: What torch's C++ side and ``torch.cuda`` answer to every question.
 _ANSWERS_BELOW = {
-    "getDeviceCount": 1, "init": None, "getDevice": 0, "setDevice": None, "synchronize": None,
+    "getDeviceCount": 1, "init": None, "getDevice": 0, "setDevice": None,
     "isInBadFork": False, "getCurrentRawStream": 0, "exchangeDevice": 0, "maybeExchangeDevice": 0,
     "getArchFlags": "sm_90", "emptyCache": None,
 }  # fmt: skip
 _ANSWERS = {
-    "is_available": True, "device_count": 1, "current_device": 0, "synchronize": None,
+    "is_available": True, "device_count": 1, "current_device": 0,
     "set_device": None, "empty_cache": None, "get_device_name": PROPERTIES.name,
     "get_device_capability": (9, 0), "get_device_properties": PROPERTIES, "_exchange_device": 0,
     "_maybe_exchange_device": 0, "is_bf16_supported": True, "memory_allocated": 0,
@@ -281,6 +295,7 @@ def install() -> None:
         setattr(torch._C, f"_cuda_{name}", _answer(value))
     for name, value in _ANSWERS.items():
         setattr(cuda, name, _answer(value))
+    cuda.synchronize = torch._C._cuda_synchronize = _synchronize
     cuda.is_current_stream_capturing = lambda *_: capturing is not None
     torch._C._cuda_isCurrentStreamCapturing = cuda.is_current_stream_capturing
     cuda.current_stream = cuda.default_stream = lambda *_: Stream()
@@ -295,8 +310,29 @@ def install() -> None:
     cuda.get_rng_state_all = lambda: [generator.get_state()]
     cuda.set_rng_state = lambda state, *_: generator.set_state(state) and None
     cuda.set_rng_state_all = lambda states: generator.set_state(states[0]) and None
+    _show_copies()
     _replace_storages()
     _add_lstm()
+
+
+def _synchronize(*_: object) -> None:
+    if capturing is not None:
+        raise RuntimeError("operation not permitted when stream is capturing: synchronize")
+    for waits in Waits.active:
+        waits.lines["synchronize"] += 1
+
+
+def _show_copies() -> None:
+    """Let ``torch.tensor`` and its like copy from the host by an operator, which is counted."""
+    make = torch.tensor
+
+    def tensor(data: Any, *, dtype: Any = None, device: Any = None, **kwargs: Any) -> Tensor:
+        return make(data, dtype=dtype, **kwargs).to(device or torch.get_default_device())
+
+    def new(self: Tensor, data: Any, *, dtype: Any = None, device: Any = None) -> Tensor:
+        return make(data, dtype=dtype or self.dtype).to(device or self.device)
+
+    torch.tensor, Tensor.new_tensor = tensor, new
 
 
 def _replace_storages() -> None:

@@ -11,6 +11,7 @@ import torch
 from pydantic import Field, NonNegativeFloat, NonNegativeInt
 from torch import Tensor
 
+from fishrl.envs.constants import make_constant
 from fishrl.envs.control.control import Choice, Control, Rising, Row
 
 #: For the paper's three flows, from ``studies/drift_sweep``. In each row the
@@ -69,8 +70,8 @@ class MacroActions(Control):
 
     def choose(self, action: Tensor, gear: Tensor, flow: Tensor) -> Choice:
         """Return the shifted gear, and its frequency in the row of the flow."""
-        gear, flow = gear + action - 1, flow.clamp(max=len(self.rows) - 1)
-        rows, low = torch.tensor(self.rows, dtype=torch.float64, device=gear.device), flow.floor()
+        gear, flow = gear + action - 1, flow.clamp(0, len(self.rows) - 1)
+        rows, low = make_constant(self.rows, torch.float64, gear.device), flow.floor()
         below, above = (rows[each.long(), gear] for each in (low, flow.ceil()))
         return Choice(gear, below + (flow - low) * (above - below))
 
@@ -101,7 +102,7 @@ class DirectFrequencies(Control):
 
     def choose(self, action: Tensor, gear: Tensor, flow: Tensor) -> Choice:
         """Return the action as the gear, and its frequency."""
-        frequencies = torch.tensor(self.frequencies, dtype=torch.float64, device=action.device)
+        frequencies = make_constant(self.frequencies, torch.float64, action.device)
         return Choice(action, frequencies[action])
 
 

@@ -11,6 +11,7 @@ from pydantic import Field, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.constants import make_constant
 from fishrl.envs.control import AbstractControlTask, Bend, ContinuousFrequency, Control
 from fishrl.envs.control.control import Rising
 from fishrl.envs.extensions import HasScene
@@ -147,11 +148,12 @@ class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
     def starts_from(self, uniform: Tensor) -> TensorDict:
         """Draw position and heading, and the phase that every start in a stream has."""
         ranges = (self.start_x_bl, self.start_y_bl, (-self.start_degrees, self.start_degrees))
-        low, high = torch.tensor(ranges, dtype=uniform.dtype, device=uniform.device).T
+        low, high = make_constant(ranges, uniform.dtype, uniform.device).T
         x, y, angle = (low + uniform[:, :3] * (high - low)).unbind(-1)
         heading = pi + angle.deg2rad()
         ahead = torch.stack((heading.cos(), heading.sin()), -1)
-        centre = uniform.new_tensor(self.origin) + self.body_length * torch.stack((x, y), -1)
+        origin = make_constant(self.origin, uniform.dtype, uniform.device)
+        centre = origin + self.body_length * torch.stack((x, y), -1)
         starts = {
             "head": centre + self.fish.centre * ahead,
             "heading": heading,
@@ -220,7 +222,7 @@ class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
         self, before: TensorDictBase, action: Tensor, now: TensorDictBase
     ) -> dict[str, Tensor]:
         """Keep the last two actions, each number in [-1, 1]."""
-        low, high = torch.tensor(self.action_bounds).to(action).T
+        low, high = make_constant(self.action_bounds, action.dtype, action.device).T
         share = 2.0 * (action - low) / (high - low) - 1.0
         return {"actions": torch.stack((before["actions"][:, 1], share), 1)}
 

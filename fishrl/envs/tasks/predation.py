@@ -12,6 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.agents import shape_fish
+from fishrl.envs.constants import make_constant
 from fishrl.envs.control import AbstractControlTask, Control, Turn
 from fishrl.envs.extensions import HasScene
 from fishrl.envs.scene import Marks, Panel, Scene, Series
@@ -178,8 +179,8 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
     def starts_from(self, uniform: Tensor) -> TensorDict:
         """Draw nose positions (on nodes, facing -x) and the path of the food."""
         (left, right), shape = self.start_range[0], shape_fish(self, len(uniform))
-        low = uniform.new_tensor([[left, lane[0]] for lane in self.lanes])
-        high = uniform.new_tensor([[right, lane[1]] for lane in self.lanes])
+        ends = zip(*(((left, low), (right, high)) for low, high in self.lanes), strict=True)
+        low, high = (make_constant(end, uniform.dtype, uniform.device) for end in ends)
         places, chance = uniform.split((2 * self.num_fish, self.num_draws - 2 * self.num_fish), 1)
         head = low + torch.floor(places.view(-1, self.num_fish, 2) * (high - low + 1.0))
         heading = torch.full(shape, pi, dtype=torch.float64, device=uniform.device)

@@ -177,7 +177,9 @@ class Repeater:
         if not num_pairs:
             return
         if self._is_cuda:
-            self._run_graphs(num_pairs)
+            # what records a graph of more than these steps, records them one by one
+            is_recording = torch.cuda.is_current_stream_capturing()
+            (self.launch if is_recording else self._run_graphs)(num_pairs)
             return
         if not self._calls:
             calls = [part.record(tensors) for part, tensors in self._steps]
