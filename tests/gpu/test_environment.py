@@ -9,9 +9,11 @@ import torch
 from tensordict import TensorDictBase
 
 from fishrl.envs import Flows, Predation, make_env
+from fishrl.envs.control import Turn
 from fishrl.physics import InPlaceSolver
 from tests.docs.test_tutorials import BRIEF
 from tests.envs.conftest import move_kinematically
+from tests.envs.test_levels import SHORT
 from tests.envs.test_real_flow import TINY
 from tests.envs.test_real_wake import make_task as make_wake_task
 
@@ -22,7 +24,11 @@ pytestmark = [
 
 
 FLOW = TINY | BRIEF
-TASKS = {"predation": lambda: Predation(**FLOW), "karman_gait": make_wake_task}
+TASKS = {
+    "predation": lambda: Predation(**FLOW),
+    "karman_gait": make_wake_task,
+    "levels": lambda: Predation(**SHORT, control=Turn(turn_degrees=5.0)),
+}
 
 
 def first_legal(state: TensorDictBase) -> TensorDictBase:

@@ -24,6 +24,7 @@ class Grid:
     level: Level
     batch: FlowBatch
     origin: Tensor  #: ``[B, 2]`` int64, of a patch in its parent; the root's is 0
+    last: Tensor  #: ``[2]`` float64, (x, y) of the last node in its own nodes
     parent: "Grid | None"
     inside: list["Grid"] = field(default_factory=list)
     transfers: tuple[Part, ...] = ()  #: filling, restriction in each step, and that of all nodes

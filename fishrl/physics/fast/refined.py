@@ -21,8 +21,9 @@ from fishrl.physics.fast.grid import (
 from fishrl.physics.fast.part import Bound, Part, Repeater, Step, compile_parts, copy_tree
 from fishrl.physics.fast.transfer_parts import (
     Chain,
-    Shifting,
+    Occasionally,
     make_filling,
+    make_moving,
     make_restriction,
     make_shift_choice,
 )
@@ -70,6 +71,7 @@ class RefinedBatch:
         }
         self._moving = [list(top.walk()) for top in self._root.inside if top.level.follows]
         self._choices = [make_shift_choice([g.level for g in chain]) for chain in self._moving]
+        self._moves = [make_moving(device) for _ in self._moving]
         self._begins = {number: Repeater(self._list_located(number)) for number in self.groups}
         self._repeaters = {number: Repeater(self._list_pair(number)) for number in self.groups}
         self._ends = {number: Repeater(self._list_end(number)) for number in self.groups}
@@ -80,9 +82,10 @@ class RefinedBatch:
         configs = [level.config for level in levels]
         batch = FlowBatch(configs, allocate=allocate, **self._settings)  # type: ignore[arg-type]
         origin = allocate(16 * len(configs)).view(torch.int64).view(-1, 2)
-        grid = Grid(levels[0], batch, origin, parent)
+        size = levels[0].frame.size
+        last = torch.tensor(size, dtype=torch.float64, device=origin.device) - 1.0
+        grid = Grid(levels[0], batch, origin, last, parent)
         if parent is not None:
-            size = levels[0].frame.size
             whole = [make_restriction(is_whole=is_whole) for is_whole in (False, True)]
             grid.transfers = (make_filling(*size), *whole)
         for number in range(len(levels[0].patches)):
@@ -90,24 +93,23 @@ class RefinedBatch:
             grid.inside.append(self._add(inside, grid, allocate))
         return grid
 
-    def _bind_choices(self, number: int, by: Tensor) -> tuple[list[Chain], Calls]:
-        """Return a group's patches that follow bodies, and what chooses their moves ``by``."""
+    def _bind_moves(self, number: int) -> tuple[Tensor, Calls, Calls]:
+        """Return a group's moves, what chooses them for patches that follow bodies, and moves."""
+        by = torch.zeros_like(self._root.origin[self._root.batch.rows_of(number)])
+        by = by.repeat(len(self._grids), 1, 1)
         each = iter(by)
         chains = [
             Chain([find_moving(grid, number, next(each)) for grid in own]) for own in self._moving
         ]
-        bound = zip(self._choices, chains, strict=True)
-        return chains, [(part, part.bind(chain)) for part, chain in bound]
-
-    def _make_moves(self) -> Tensor:
-        """Return memory for the moves of each grid of a group."""
-        size = len(self._root.batch.first.nodes[0])
-        return torch.zeros(len(self._grids), size, 2, dtype=torch.int64)
+        choices, moves = (
+            [(part, part.bind(chain)) for part, chain in zip(parts, chains, strict=True)]
+            for parts in (self._choices, self._moves)
+        )
+        return by, choices, moves
 
     def _list_pair(self, number: int) -> list[tuple[Step, Sequence[Tensor]]]:
         """Return what an even and an odd step of the coarsest level consist of."""
-        by = self._make_moves()
-        chains, choices = self._bind_choices(number, by)
+        by, choices, moves = self._bind_moves(number)
         steps: list[tuple[Step, Sequence[Tensor]]] = []
         for parity in (0, 1):
             steps += [(part, arguments[parity]) for part, arguments in choices]
@@ -115,10 +117,13 @@ class RefinedBatch:
                 (grid.transfers[0], self._arguments[grid.transfers[0], number][at])
                 for grid in self._grids[1:]
                 for at in [parity if grid.parent is self._root else 0]
-            ]
-            if chains:
-                located = self._begins[number]
-                steps.append((Shifting(chains, by, Repeater(fills), located), ()))
+            ]  # what lies in the ring moves inwards
+            moved = [(part, arguments[parity]) for part, arguments in moves]
+            shift = [*fills, *moved, *self._list_located(number)] if moves else []
+            if shift and by.device.type == "cpu":
+                steps.append((Occasionally(by, Repeater(shift)), ()))
+            else:
+                steps += shift
             steps += self._list_step(self._root, number, parity)
         return steps
 
@@ -145,7 +150,8 @@ class RefinedBatch:
     def _list_transfers(self) -> Calls:
         """Return the parts between grids with the first group's arguments."""
         own = [(part, args) for (part, number), args in self._arguments.items() if number == 0]
-        return [*own, *self._bind_choices(0, self._make_moves())[1]]
+        _, choices, moves = self._bind_moves(0)
+        return [*own, *choices, *moves]
 
     def compile(self, *, with_check: bool, helps: bool = False) -> None:
         """Compile all parts of all grids."""
@@ -167,7 +173,7 @@ class RefinedBatch:
         """Return ``InPlaceSolver.list_calls``, of a step of the coarsest level."""
         even, odd = (self._list_step(self._root, 0, parity) for parity in (0, 1))
         own = [(part, (at, after)) for (part, at), (_, after) in zip(even, odd, strict=True)]
-        return [*self._bind_choices(0, self._make_moves())[1], *own]
+        return [*self._bind_moves(0)[1], *own]
 
     def initialise_(self) -> None:
         """Write the initial parameters, bodies at rest and relaxation rates."""
@@ -215,9 +221,7 @@ class RefinedBatch:
         at = dict(zip(map(id, self._grids), places, strict=True))
         for one, other in combinations(self._root.inside, 2):
             gap = at[id(one)][0] - at[id(other)][0]
-            ahead, behind = (
-                torch.tensor(g.size, device=gap.device) // 2 + RING for g in (other, one)
-            )
+            ahead, behind = (0.5 * g.last + RING for g in (other, one))
             found |= ((gap < ahead) & (gap > -behind)).all(-1)
         return found
 
@@ -227,7 +231,7 @@ class RefinedBatch:
         reach = RING + self._config.skin.margin
         for grid, (_, corner) in zip(self._grids, places, strict=True):
             low = corner[:, None] + reach
-            high = low + torch.tensor(grid.size, device=low.device) - (1 + 2 * reach)
+            high = low + grid.last - 2 * reach
             for index in grid.level.bodies:
                 outline = locate_markers(self.flow.params.bodies[index], bodies[index])
                 found &= ((outline > low) & (outline < high)).flatten(1).all(-1)
@@ -328,8 +332,7 @@ class RefinedBatch:
         rho, u = self._root.batch.sample(points / self._root.level.spacing)
         for grid in self._grids[1:]:
             own = (points - grid.find_corner()[:, None]) / grid.level.spacing
-            last = torch.tensor(grid.level.frame.size, device=own.device) - 1 - RING
-            inside = ((own >= RING) & (own <= last)).all(-1)
+            inside = ((own >= RING) & (own <= grid.last - RING)).all(-1)
             values = grid.batch.sample(own)
             rho = torch.where(inside, values[0], rho)
             u = torch.where(inside[..., None], values[1], u)
@@ -378,15 +381,6 @@ def make_batch(
     device: torch.device,
     allocate: Allocate,
 ) -> FlowBatch | RefinedBatch:
-    """Return the batch of flows with one level, or with more.
-
-    Raises:
-        ValueError: for levels on a GPU, whose host would have to wait to see which patch moves.
-    """
+    """Return the batch of flows with one level, or with more."""
     kind = FlowBatch if configs[0].levels == 1 else RefinedBatch
-    if kind is RefinedBatch and device.type != "cpu":
-        raise ValueError(
-            f"levels = {configs[0].levels} on {device}: levels run on a CPU; give device=cpu, or "
-            "levels=1"
-        )
     return kind(configs, group_size=group_size, device=device, allocate=allocate)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.fast.flow_memory import GroupMemory
-from fishrl.physics.fast.part import Part, Repeater
+from fishrl.physics.fast.part import Part, Repeater, copy_tree
 from fishrl.physics.fast.recording import Call
 from fishrl.physics.levels.grids import Frame, Level, find_middle, find_shift
 from fishrl.physics.levels.patch import RING
@@ -20,6 +20,7 @@ from fishrl.physics.levels.transfer import (
     fill_ring,
     list_restricted,
     list_sources,
+    move,
     number_cells,
     number_ring,
 )
@@ -180,37 +181,40 @@ def make_shift_choice(levels: Sequence[Level]) -> Part:
     return Part("shift choice", collect, act, SETTINGS)
 
 
-class Shifting:
-    """Moves the patches of a group by what ``make_shift_choice`` has chosen.
+def make_moving(device: torch.device) -> Part:
+    """Return the part that moves patches by what ``make_shift_choice`` has chosen."""
 
-    Args:
-        chains: patches around each body that is followed.
-        by: all their ``by``, in one block.
-        before: fills the rings.
-        after: finds out again where still bodies and sharp skins are.
-    """
+    def collect(
+        memory: Chain, parity: int
+    ) -> tuple[list[list[Tensor]], list[Tensor], list[Tensor], list[Tensor]]:
+        nodes, origins, by, bodies = zip(*memory.patches, strict=True)
+        return [*nodes], [*origins], [*by], [body.position for own in bodies for body in own]
 
-    def __init__(
-        self, chains: Sequence[Chain], by: Tensor, before: Repeater, after: Repeater
+    def act(
+        nodes: list[list[Tensor]], origins: list[Tensor], by: list[Tensor], positions: list[Tensor]
     ) -> None:
-        self._chains, self._before, self._after, self._by = chains, before, after, by.numpy()
+        outer = None
+        for f, origin, own in zip(nodes, origins, by, strict=True):
+            copy_tree(f, move(f, own))
+            origin.add_(own if outer is None else own - 2 * outer)
+            outer = own
+        for position in positions:
+            position.sub_(2 * by[-1])
+
+    # so rare on a CPU that it is not worth compiling
+    return Part("moving", collect, act, SETTINGS if device.type == "cuda" else None)
+
+
+class Occasionally:
+    """Steps that a CPU leaves out where no patch moves by any of ``by``; a GPU takes them all."""
+
+    def __init__(self, by: Tensor, steps: Repeater) -> None:
+        self._by, self._steps = by.numpy(), steps
 
     def run(self) -> None:
-        """Move what is due, which is rare."""
-        if not self._by.any():
-            return
-        self._before.run(1)
-        for chain in self._chains:
-            for patch, inside in zip(chain.patches, (*chain.patches[1:], None), strict=True):
-                for row, (x, y) in enumerate(patch.by.tolist()):
-                    for f in patch.nodes if x or y else ():
-                        f[row].copy_(f[row].roll((-2 * y, -2 * x), (0, 1)))
-                patch.origin.add_(patch.by)
-                for body in patch.bodies:
-                    body.position.sub_(2 * patch.by)
-                if inside is not None:
-                    inside.origin.sub_(2 * patch.by)
-        self._after.run(1)
+        """Take the steps if a patch moves."""
+        if self._by.any():
+            self._steps.run(1)
 
     def record(self, tensors: Sequence[Tensor]) -> list[Call]:
         """Run once, and return the call that does it again."""

@@ -145,16 +145,18 @@ def _make_inside(
 
 def place_patch(place: Tensor, frame: Frame) -> Tensor:
     """Return the origin ``[B, 2]`` of a patch around a place in its parent's nodes."""
-    half = torch.tensor(frame.size, device=place.device) // 2
-    return clamp_origin((place - 0.5 * half).nan_to_num().round().long(), frame.low, frame.high)
+    first = [p - 0.5 * (n // 2) for p, n in zip(place.unbind(-1), frame.size, strict=True)]
+    origin = torch.stack(first, -1).nan_to_num().round().long()
+    return clamp_origin(origin, frame.low, frame.high)
 
 
 def find_point(level: Level, bodies: Sequence[BodyState], like: Tensor) -> Tensor:
     """Return the point ``[B, 2]`` that a patch keeps in its middle, in finest nodes."""
     assert level.patch is not None
     if level.leader is None or level.patch.centre is not None:
-        centre = torch.tensor(level.patch.centre, dtype=torch.float64, device=like.device)
-        return centre.expand(len(like), 2)
+        assert level.patch.centre is not None
+        at = [like.new_full(like.shape[:1], c, dtype=torch.float64) for c in level.patch.centre]
+        return torch.stack(at, -1)
     state = bodies[level.patch.numbers[0]]
     return find_middle(state.position, state.heading, level.ahead)
 
@@ -207,7 +209,8 @@ def move_patch(patch: PatchState, by: Tensor) -> PatchState:
     """Return a patch moved by nodes of its parent ``[B, 2]``, while those inside stay in place."""
     flow, origin = patch
     inside = tuple(p._replace(origin=p.origin - 2 * by) for p in flow.patches)
-    return PatchState(flow._replace(f=move(flow.f, by), patches=inside), origin + by)
+    f = torch.stack(move(flow.f.unbind(1), by), 1)
+    return PatchState(flow._replace(f=f, patches=inside), origin + by)
 
 
 def fill_patches(state: FlowState, level: Level, params: FlowParams) -> FlowState:

@@ -168,17 +168,17 @@ def restrict(parent: Tensor, patch: Tensor, origin: Tensor, tau: Tensor) -> Tens
     return write(parent, add(count(origin, row), cells), f)
 
 
-def move(patch: Tensor, shift: Tensor) -> Tensor:
-    """Return the populations ``[B, Q, h, w]`` after the patch moves by parent nodes ``[B, 2]``.
+def move(f: Sequence[Tensor], shift: Tensor) -> list[Tensor]:
+    """Return nine populations ``[B, h, w]`` after the patch moves by parent nodes ``[B, 2]``.
 
     The ring that enters holds copies; it must be filled.
     """
-    height, width = patch.shape[-2:]
+    height, width = f[0].shape[1:]
     x, y = (
         add(2 * by, torch.arange(num, device=by.device)).clamp(0, num - 1)
         for by, num in zip(shift.unbind(-1), (width, height), strict=True)
     )
-    return torch.stack(read(patch.flatten(2).unbind(1), y[:, :, None] * width + x[:, None]), 1)
+    return read([g.flatten(1) for g in f], y[:, :, None] * width + x[:, None])
 
 
 def choose_shift(

@@ -22,6 +22,7 @@ from fishrl.physics import BounceBack, Cylinder, Fish, FlowConfig, ImmersedBound
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.fast.part import Repeater
+from fishrl.physics.fast.refined import RefinedBatch
 from tests.physics.flows import start_solver
 
 IS_PRETENDED = "device" in sys.modules
@@ -33,31 +34,34 @@ pytestmark = [
     pytest.mark.skipif(find_spec("triton") is None, reason="needs the extra triton"),
 ]
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
-#: What swims or lies in two flows, where its centre and its nose are, and the skin.
+#: What swims or lies in two flows, where its centre and its nose are, the skin, and levels.
 FISH = [[40.3, 30.2], [38.0, 31.7]], [math.pi, 2.8]
 BEHIND = [[68.0, 24.0], [67.3, 37.0]], [math.pi, 3.0]
 CASES = {
-    "cylinder": ([(Cylinder(diameter=10), *FISH)], ImmersedBoundary()),
+    "cylinder": ([(Cylinder(diameter=10), *FISH)], ImmersedBoundary(), 1),
     "free and commanded fish": (
         [(Fish(body_length=20, motion=Free()), *FISH), (Fish(body_length=20), *BEHIND)],
         BounceBack(),
+        1,
     ),
+    "fish on two levels": ([(Fish(body_length=20, motion=Free()), *FISH)], BounceBack(), 2),
 }
-#: Kernels of one step, launched one after the other.
-MOST_LAUNCHES = {"cylinder": 28, "free and commanded fish": 35}
+#: Kernels of one step of the coarsest level, launched one after the other.
+MOST_LAUNCHES = {"cylinder": 28, "free and commanded fish": 35, "fish on two levels": 84}
 LONG = [pytest.mark.slow] if IS_PRETENDED else []
 REPLAY = Repeater._replay  # recorded here, and nowhere else on the pretended device
 
 
 def make_solver(name: str, *, device: str, compile: bool) -> InPlaceSolver:
-    bodies, skin = CASES[name]
+    bodies, skin, levels = CASES[name]
     config = FlowConfig(
-        width=90,
-        height=60,
+        width=91,
+        height=61,
         tau=0.56,
         stream_speed=0.03,
         bodies=tuple(body for body, *_ in bodies),
         skin=skin,
+        levels=levels,
         boundaries=Boundaries(left=STREAM, right=OpenEdge(), bottom=STREAM, top=STREAM),
     )
     where = (
@@ -65,7 +69,9 @@ def make_solver(name: str, *, device: str, compile: bool) -> InPlaceSolver:
         for i in (1, 2)
     )
     settings = {"frequency": 1.0 / 300.0, "device": device, "compile": compile}
-    return start_solver(config, *where, velocity=(1.0, 0.0), **settings)
+    solver = start_solver(config, *where, velocity=(1.0, 0.0), **settings)
+    solver.body.position[0, 0] -= 3.0 * (levels - 1)  # its patch moves at once
+    return solver
 
 
 @pytest.fixture(scope="module")
@@ -97,20 +103,25 @@ def compute_error(there: Tensor, here: Tensor) -> float:
     ],
 )
 def test_flow_on_a_gpu_equals_that_on_a_cpu(name: str, parts: list[int], tolerance: float) -> None:
-    """In parts, so that graphs are recorded and replayed."""
+    """In parts, so that graphs are recorded and replayed; steps are those of the coarsest level."""
     there = make_solver(name, device="cuda", compile=True)
     here = make_solver(name, device="cpu", compile=False)
-    for num_steps in parts:
+    for num_steps in (CASES[name][2] * num for num in parts):
         there.advance_(num_steps)
         here.advance_(num_steps)
     assert there.populations().device.type == "cuda"
-    assert compute_error(there.populations(), here.populations()) < tolerance
+    assert torch.equal(there.corners.cpu(), here.corners)
+    for grid in range(len(here.config.list_grids())):
+        assert compute_error(there.populations(grid), here.populations(grid)) < tolerance
     for body, expected in zip(there.bodies, here.bodies, strict=True):
         assert compute_error(body.impulse, expected.impulse) < tolerance
         assert compute_error(body.position, expected.position) < tolerance
     assert not there.is_diverged().any()
     if IS_PRETENDED:
-        for num_pairs, graph in there._batch.first.repeater._graphs.items():
+        batch = there._batch
+        is_refined = isinstance(batch, RefinedBatch)
+        repeater = batch._repeaters[0] if is_refined else batch.first.repeater
+        for num_pairs, graph in repeater._graphs.items():
             assert len(graph.calls) <= 2 * num_pairs * MOST_LAUNCHES[name]
 
 
@@ -128,8 +139,9 @@ print(json.dumps(triton_host.USAGE))
     "name",
     [
         "cylinder",
-        # compiling its kernels takes minutes
+        # compiling their kernels takes minutes
         pytest.param("free and commanded fish", marks=pytest.mark.slow),
+        pytest.param("fish on two levels", marks=pytest.mark.slow),
     ],
 )
 def test_kernels_for_sm_80_and_sm_90_spill_no_registers(name: str, cache: Path) -> None:

@@ -20,7 +20,6 @@ from fishrl.physics import (
     Skin,
     Sponge,
 )
-from fishrl.physics.fast.refined import make_batch
 from fishrl.physics.flow import FlowState, make_params, make_rest, make_uniform
 from fishrl.physics.levels.grids import make_patches
 from tests.physics.flows import advance, read_bodies, start_solver
@@ -177,11 +176,6 @@ def test_bodies_beyond_their_patch_are_refused_and_end_their_flow() -> None:
     assert solver.is_diverged().all()
     with pytest.raises(ValueError, match="a body is not within its patch"):
         solver.reset_(torch.ones(1, dtype=torch.bool), torch.tensor([[50.0, 48.0]]))
-
-
-def test_levels_on_a_gpu_are_refused() -> None:
-    with pytest.raises(ValueError, match="levels run on a CPU"):
-        make_batch([make_config()], group_size=1, device=torch.device("cuda"), allocate=torch.zeros)
 
 
 def test_reset_puts_patches_around_the_new_place() -> None:
