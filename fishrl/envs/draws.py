@@ -7,6 +7,8 @@ episodes. Here the starts of a row are the same in any batch.
 import torch
 from torch import Tensor
 
+#: Larger seeds lose their higher bits.
+MAX_SEED = 0x7FFFFFFFFFFFFFFF
 _GOLDEN = 0x9E3779B97F4A7C15 - (1 << 64)
 _MIX_1 = 0xBF58476D1CE4E5B9 - (1 << 64)
 _MIX_2 = 0x94D049BB133111EB - (1 << 64)
@@ -19,16 +21,16 @@ def scramble(x: Tensor) -> Tensor:
     return x ^ _shift_right(x, 31)
 
 
-def draw_uniform(seed: int, row: Tensor, episode: Tensor, num: int) -> Tensor:
+def draw_uniform(seed: int | Tensor, row: Tensor, episode: Tensor, num: int) -> Tensor:
     """Draw ``[B, num]`` in [0, 1), float64, multiples of 2^-53, keyed on (seed, row, episode).
 
     Args:
-        seed: seed of the environment.
+        seed: seed of the environment, ``[B]`` or one for all.
         row: ``[B]`` int64, index of the row.
         episode: ``[B]`` int64, number of episodes that the row has begun.
         num: numbers per row.
     """
-    key = torch.full_like(row, (seed & 0x7FFFFFFFFFFFFFFF)) + _GOLDEN
+    key = torch.zeros_like(row) + (seed & MAX_SEED) + _GOLDEN
     for counter in (row, episode):
         key = scramble(key) ^ (counter + _GOLDEN)
     counters = torch.arange(1, num + 1, device=row.device)

@@ -23,7 +23,7 @@ from torchrl.envs.utils import MarlGroupMapType
 from fishrl.envs.agents import name_entry
 from fishrl.envs.checks import check_answers, check_starts_of
 from fishrl.envs.decision import Decision, merge
-from fishrl.envs.draws import draw_uniform
+from fishrl.envs.draws import MAX_SEED, draw_uniform
 from fishrl.envs.flows import Flows
 from fishrl.envs.repeating import Repeated
 from fishrl.envs.specs import make_specs
@@ -47,8 +47,9 @@ class FlowEnv(EnvBase):
     truncated with reward 0, with ``diverged`` set and with the observation of the last decision; it
     is counted and reset without affecting other rows.
 
-    On a GPU a decision is one graph from its second repetition on, unless ``on_frame`` is given:
-    the host waits for it once, and refuses an illegal action only then. See ``repeating``.
+    On a GPU a decision, unless ``on_frame`` is given, and a reset are one graph each from their
+    second repetition on: the host waits for a decision once, and refuses an illegal action only
+    then. See ``repeating``.
 
     Args:
         task: the task.
@@ -97,7 +98,8 @@ class FlowEnv(EnvBase):
             names = [f"fish_{number}" for number in range(task.num_fish)]
             self.group_map = MarlGroupMapType.ALL_IN_ONE_GROUP.get_group_map(names)
         self._rows = torch.arange(flows.num_envs, device=self.device)
-        self._seed, self._next_start = seed, 0
+        self._seed = seed
+        self._next_start = torch.zeros_like(self._rows[0])
         self._episode = torch.zeros_like(self._rows)
         self._start_index = torch.full_like(self._rows, -1)
         self.num_diverged = 0
@@ -113,8 +115,8 @@ class FlowEnv(EnvBase):
             on_diverged=self._count_diverged,
         )
         self._decide = Repeated(self._decision.run, "a decision")
-        self.start, _ = self._draw_starts(~self.is_resting)
-        self._next_start = 0
+        self._begin = Repeated(self._begin_rows, "a reset")
+        self.start, _ = self._draw_starts(self._give_starts(~self.is_resting))
         task.place_(self.solver, ~self.is_resting, self.start)
         self.now = self._decision.begin(self.start)
         self._make_specs()  # reports an invalid task before the compilation
@@ -138,7 +140,8 @@ class FlowEnv(EnvBase):
         """
         self.task.check_starts(starts)
         before = self.starts, self._next_start, self.on_frame
-        self.starts, self._next_start, self.on_frame = starts.to(self.device), 0, on_frame
+        self.starts, self.on_frame = starts.to(self.device), on_frame
+        self._next_start = torch.zeros_like(self._next_start)
         try:
             yield
         finally:
@@ -159,28 +162,53 @@ class FlowEnv(EnvBase):
             {name: Categorical(2, shape=(1,), dtype=torch.bool) for name in flags}
         ).to(self.device)
 
-    def _draw_starts(self, rows: Tensor) -> tuple[TensorDict, Tensor]:
+    def _give_starts(self, rows: Tensor) -> dict[str, Any]:
+        """Return what ``_draw_starts`` reads."""
+        return {
+            "starts": {} if self.starts is None else self.starts,
+            "seed": torch.full_like(self._rows, self._seed & MAX_SEED),
+            "next_start": self._next_start,
+            "episode": self._episode,
+            "rows": rows,
+        }
+
+    def _draw_starts(self, given: dict[str, Any]) -> tuple[TensorDict, Tensor]:
         """Return starts ``[B]``, valid in ``rows``, and their indices."""
-        if self.starts is None:
-            uniform = draw_uniform(self._seed, self._rows, self._episode, self.task.num_draws)
+        starts = given["starts"]
+        if not isinstance(starts, TensorDictBase):
+            uniform = draw_uniform(given["seed"], self._rows, given["episode"], self.task.num_draws)
             return self.task.starts_from(uniform), torch.full_like(self._rows, -1)
-        index = (self._next_start + rows.long().cumsum(0) - 1) % self.starts.shape[0]
-        self._next_start = (self._next_start + int(rows.sum())) % self.starts.shape[0]
-        return self.starts[index], index
+        index = (given["next_start"] + given["rows"].long().cumsum(0) - 1) % starts.shape[0]
+        return starts[index], index
+
+    def _begin_rows(self, given: dict[str, Any]) -> tuple[dict[str, Any], None]:
+        """Begin episodes in ``rows``; return what follows, by the names of this object."""
+        rows, (drawn, index) = given["rows"], self._draw_starts(given)
+        start = merge(rows, drawn, given["start"])
+        self.task.place_(self.solver, rows, start)
+        now = merge(rows, self._decision.begin(start), given["now"])
+        flags = ("diverged", "done", "terminated", "truncated")
+        none = dict.fromkeys(flags, torch.zeros_like(rows))
+        num = max(1, len(given["starts"]))
+        after = {
+            "start": start,
+            "now": now,
+            "start_index": torch.where(rows, index, given["start_index"]),
+            "episode": given["episode"] + rows,
+            "next_start": (given["next_start"] + rows.sum()) % num,
+            "written": self._decision.write(now, self._no_terms, **none),
+        }
+        return after, None
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         rows = torch.ones_like(self._rows, dtype=torch.bool)
         if tensordict is not None and "_reset" in tensordict:
             rows = tensordict["_reset"].reshape(self.batch_size)
-        drawn, index = self._draw_starts(rows)
-        self.start = merge(rows, drawn, self.start)
-        self._start_index = torch.where(rows, index, self._start_index)
-        self._episode = self._episode + rows
-        self.task.place_(self.solver, rows, self.start)
-        self.now = merge(rows, self._decision.begin(self.start), self.now)
-        flags = ("diverged", "done", "terminated", "truncated")
-        none = dict.fromkeys(flags, torch.zeros_like(rows))
-        written = self._decision.write(self.now, self._no_terms, **none)
+        own = {"start": self.start, "now": self.now, "start_index": self._start_index}
+        after, _ = self._begin(own | self._give_starts(rows))
+        self.start, self.now, self._start_index = (after[name] for name in own)
+        self._episode, self._next_start = after["episode"], after["next_start"]
+        written: TensorDict = after["written"]
         return written.set("start_index", self._start_index.clone())
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
@@ -235,7 +263,8 @@ class FlowEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         """Restart the sequence of starts from ``seed`` (0 if None) at the next reset."""
         self._seed = 0 if seed is None else seed
-        self._episode, self._next_start = torch.zeros_like(self._episode), 0
+        self._episode = torch.zeros_like(self._episode)
+        self._next_start = torch.zeros_like(self._next_start)
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return the complete state of flows and episodes, for ``state_dict``."""
@@ -247,7 +276,7 @@ class FlowEnv(EnvBase):
             "episode": self._episode.clone(),
             "num_diverged": torch.tensor(self.num_diverged),
             "seed": torch.tensor(self._seed),
-            "next_start": torch.tensor(self._next_start),
+            "next_start": self._next_start.clone(),
         }
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
@@ -256,9 +285,9 @@ class FlowEnv(EnvBase):
         for name in ("start", "now"):
             restored = TensorDict(state[name], self.batch_size, device=self.device)
             setattr(self, name, restored.clone())
-        for name in ("start_index", "episode"):
+        for name in ("start_index", "episode", "next_start"):
             setattr(self, f"_{name}", state[name].to(self.device).clone())
-        self._seed, self._next_start = int(state["seed"]), int(state["next_start"])
+        self._seed = int(state["seed"])
         self.num_diverged = int(state["num_diverged"])
 
     def to(self, device: torch.device | str) -> "FlowEnv":

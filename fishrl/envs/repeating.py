@@ -17,8 +17,8 @@ class Repeated(Generic[K]):
     """A function that runs as written at first, and from its second call on as a CUDA graph.
 
     What it changes besides lies at fixed addresses, and it neither reads the device on the host nor
-    copies from the host; if it does, it runs as written, which is logged once. So it does on a CPU,
-    and for inputs of other shapes than those of the second call.
+    copies from the host; if it does, it runs as written, which is logged once. So it does on a CPU.
+    Inputs of each form and shape have their own graph.
 
     Args:
         run: returns a tree of tensors, and something that the host keeps: what it returned in the
@@ -28,28 +28,28 @@ class Repeated(Generic[K]):
 
     def __init__(self, run: Callable[[Any], tuple[Any, K]], what: str) -> None:
         self._run, self._what = run, what
-        self._has_run, self._can_repeat = False, True
-        self._recording: _Recording[K] | None = None
+        self._can_repeat = True
+        self._recordings: dict[object, _Recording[K] | None] = {}  # None: to be recorded next time
 
     def __call__(self, given: Any) -> tuple[Any, K]:
         """Run with a tree of tensors."""
-        leaves = pytree.tree_leaves(given)
+        leaves, form = pytree.tree_flatten(given)
         if not (self._can_repeat and leaves[-1].is_cuda):
             return self._run(given)
-        if self._recording is None:
-            if not self._has_run:  # kernels are built in a first call, which cannot be recorded
-                self._has_run = True
-                return self._run(given)
+        key = form, tuple((leaf.shape, leaf.dtype, leaf.device) for leaf in leaves)
+        if key not in self._recordings:  # kernels are built in a first call: it cannot be recorded
+            self._recordings[key] = None
+            return self._run(given)
+        recording = self._recordings[key]
+        if recording is None:
             try:
-                self._recording = _Recording(self._run, given)
+                recording = self._recordings[key] = _Recording(self._run, given)
             except Exception as error:  # noqa: BLE001  # of the task, of torch and of the driver
                 self._can_repeat = False
                 reason = str(error).strip().partition("\n")[0]
                 logger.warning("%s is no CUDA graph and waits for the GPU: %s", self._what, reason)
                 return self._run(given)
-        if not self._recording.fits(leaves):
-            return self._run(given)
-        return self._recording.repeat(leaves)
+        return recording.repeat(leaves)
 
 
 class _Recording(Generic[K]):
@@ -57,21 +57,13 @@ class _Recording(Generic[K]):
 
     def __init__(self, run: Callable[[Any], tuple[Any, K]], given: Any) -> None:
         leaves, form = pytree.tree_flatten(given)
-        self._inputs, self._like = _join(leaves), leaves
+        self._inputs = _join(leaves)
         self._graph = torch.cuda.CUDAGraph()
         placed = pytree.tree_unflatten(_split(self._inputs, leaves), form)
         with torch.cuda.device(leaves[0].device), torch.cuda.graph(self._graph):
             results, self._kept = run(placed)
             self._results, self._form = pytree.tree_flatten(results)
             self._joined = _join(self._results)
-
-    def fits(self, leaves: Sequence[Tensor]) -> bool:
-        """Return whether inputs have the shapes and types of those recorded."""
-        pairs = zip(leaves, self._like, strict=False)
-        return len(leaves) == len(self._like) and all(
-            (new.shape, new.dtype, new.device) == (old.shape, old.dtype, old.device)
-            for new, old in pairs
-        )
 
     def repeat(self, leaves: Sequence[Tensor]) -> tuple[Any, K]:
         """Run the graph on inputs; return copies of its results."""

@@ -238,7 +238,9 @@ class AbstractStreamTask(AbstractTask):
             heading = torch.stack((heading, torch.full_like(heading, pi)), 1)
         solver.reset_(rows, position, heading, velocity=(1.0, 0.0))
         if self.wakes is not None:
-            f = self.wakes.take(flow[rows], starts["wake_phase"][rows])
+            # of a GPU the host would have to wait to see which rows begin: every row takes a wake
+            own = slice(None) if rows.is_cuda and self.levels == 1 else rows
+            f = self.wakes.take(flow[own], starts["wake_phase"][own])
             solver.set_populations_(_spread(f, solver.config), rows)
             solver.join_stream_(rows)
 

@@ -21,7 +21,8 @@ def check_placement(
 ) -> None:
     """Raise ValueError if bodies of the flows in ``rows`` ``[B]`` overlap or leave the grid.
 
-    For set-up: it reads its result on the host, which waits for a GPU.
+    For set-up: it reads its result on the host, which waits for a GPU. A graph that repeats it does
+    not.
 
     Args:
         config: configuration of the flows.
@@ -32,6 +33,8 @@ def check_placement(
     Raises:
         ValueError: naming the first flow and bodies that are misplaced.
     """
+    if rows.is_cuda and torch.cuda.is_current_stream_capturing():
+        return
     names = [f"{index} ({type(body).__name__})" for index, body in enumerate(config.bodies)]
     chosen = rows.nonzero()[:, 0]
     params, states = pytree.tree_map(lambda t: t[chosen], (list(params), list(states)))

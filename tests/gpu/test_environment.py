@@ -8,6 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
+import fishrl.envs.flow_env
 from fishrl.envs import Flows, Predation, make_env
 from fishrl.envs.control import Turn
 from fishrl.physics import InPlaceSolver
@@ -53,8 +54,8 @@ def test_environment_on_a_gpu_equals_that_on_a_cpu(name: str) -> None:
 
 @pytest.mark.skipif("device" not in sys.modules, reason="the pretended device alone counts")
 @pytest.mark.parametrize("name", TASKS)
-def test_decision_is_one_graph_and_waits_once(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Most of the 28 launches are of TorchRL's transforms."""
+def test_decision_and_reset_are_one_graph_each(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All but one of 28 and of 37 launches are TorchRL's, and copies."""
     move_kinematically(monkeypatch)
     env = make_env(task=TASKS[name](), flows=Flows(num_envs=2, device="cuda", compile=False))
     state = env.reset()
@@ -64,27 +65,37 @@ def test_decision_is_one_graph_and_waits_once(name: str, monkeypatch: pytest.Mon
         env.step(first_legal(state))
     assert waits.total == 1, waits.lines
     assert waits.launches <= 30
+    env.reset()
+    with sys.modules["device"].Waits() as waits:
+        env.reset()
+    assert waits.total == 4, waits.lines  # all TorchRL's
+    assert waits.launches <= 40
     env.close()
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_graph_of_a_decision_changes_no_bit(
+def test_graphs_change_no_bit(
     name: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """With ``on_frame`` a decision runs as written. Episodes end and begin in between."""
+    """Episodes end and begin in between, in one row or in all."""
     move_kinematically(monkeypatch)
-    task = replace(TASKS[name](), time_limit=3)
-    make = partial(make_env, task=task, flows=Flows(num_envs=2, device="cuda", compile=False))
-    envs = make(), make(on_frame=lambda env: None)
-    states = [env.reset() for env in envs]
-    for _ in range(5):
-        steps = [
-            env.step_and_maybe_reset(first_legal(s)) for env, s in zip(envs, states, strict=True)
-        ]
-        repeated, written = (step for step, _ in steps)
-        assert (repeated == written).all()
-        states = [state for _, state in steps]
-    assert (envs[0].base_env.now == envs[1].base_env.now).all()
+    make = partial(make_env, flows=Flows(num_envs=2, device="cuda", compile=False))
+    task = replace(TASKS[name](), time_limit=2)
+    with monkeypatch.context() as patch:
+        patch.setattr(fishrl.envs.flow_env, "Repeated", lambda run, what: run)
+        as_written = make(task=task)
+    results = []
+    for env in (make(task=task), as_written):
+        state, steps = env.reset(), []
+        for number in range(8):
+            step, state = env.step_and_maybe_reset(first_legal(state))
+            steps.append(step)
+            if number == 2:
+                state = env.reset(state.set("_reset", torch.tensor([[True], [False]]).cuda()))
+        results.append((torch.stack(steps), env.base_env.solver.state_dict()))
+    (repeated, here), (written, there) = results
+    assert (repeated == written).all()
+    assert all(torch.equal(here[name], there[name]) for name in there)
     assert not caplog.records
 
 

@@ -132,7 +132,7 @@ class FlowBatch:
         """Set all nodes of the flows in ``rows`` ``[B]`` bool to the populations ``[B]``."""
         for number, group in self.groups.items():
             own = self.rows_of(number)
-            if self._size > 1 or rows[own].item():
+            if rows.is_cuda or self._size > 1 or rows[own].item():
                 group.fill_(rows[own], [value[own] for value in f])
 
     @property
@@ -144,15 +144,26 @@ class FlowBatch:
         """Return the place ``[B, G, 2]`` int64 of the first node of each grid, finest nodes."""
         return self.flow.clock.new_zeros(len(self.flow.clock), 1, 2, dtype=torch.int64)
 
+    def choose_written(self, rows: Tensor, f: Tensor | Sequence[Tensor | None]) -> Tensor:
+        """Return the rows for ``write_``: ``[B]`` bool on a GPU, if ``f`` is of all flows."""
+        first = f if isinstance(f, Tensor) else f[0]
+        is_whole = first is not None and len(first) == len(rows)
+        return rows if rows.is_cuda and is_whole else rows.nonzero()[:, 0]
+
     def write_(
         self, rows: Tensor, f: Sequence[Tensor | None], corners: Tensor | None = None
     ) -> None:
         """Set populations and places of each grid; see ``InPlaceSolver.set_populations_``.
 
-        ``rows`` ``[N]`` are indices.
+        ``rows`` ``[N]`` are indices, or ``[B]`` bool, and then ``f`` is of all flows.
         """
         (given,) = f
         assert given is not None  # as checked: there is no parent
+        if rows.dtype == torch.bool:
+            for number, group in self.groups.items():
+                part = self.rows_of(number)
+                group.merge_(rows[part], given[part].to(self._populations))
+            return
         for number in sorted(set((rows // self._size).tolist())):
             is_own = rows // self._size == number
             own = given.to(self._populations)[is_own]

@@ -132,6 +132,11 @@ class FlowGroup:
         for view, values in zip(self.nodes, f.unbind(1), strict=True):
             view[rows] = values
 
+    def merge_(self, rows: Tensor, f: Tensor) -> None:
+        """Set the incoming populations of ``rows`` ``[B]`` bool to theirs among all of ``f``."""
+        for view, values in zip(self.nodes, f.unbind(1), strict=True):
+            view.copy_(torch.where(rows[:, None, None], values, view))
+
     def fill_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
         """Set all cells of the flows in ``rows`` ``[B]`` bool to the populations ``[B]``."""
         for view, value in zip(self._cells, f, strict=True):

@@ -202,6 +202,8 @@ class RefinedBatch:
 
     def check_places(self, bodies: Sequence[BodyState], rows: Tensor) -> None:
         """Raise ValueError for bodies in ``rows`` ``[B]`` that patches cannot hold."""
+        if rows.is_cuda and torch.cuda.is_current_stream_capturing():
+            return
         places = self._find_places(bodies)
         for is_wrong, problem in (
             (self._find_overlap(places), "patches of {} nodes overlap; move the bodies apart"),
@@ -302,6 +304,10 @@ class RefinedBatch:
     def find_corners(self) -> Tensor:
         """Return ``FlowBatch.find_corners``."""
         return torch.stack([grid.find_corner() for grid in self._grids], 1)
+
+    def choose_written(self, rows: Tensor, f: object) -> Tensor:
+        """Return the indices of ``rows`` ``[B]`` bool."""
+        return rows.nonzero()[:, 0]
 
     def write_(
         self, rows: Tensor, f: Sequence[Tensor | None], corners: Tensor | None = None

@@ -264,10 +264,10 @@ class InPlaceSolver:
     ) -> None:
         """Set all flows, or the N of ``rows`` ``[B]``, to shifted populations ``[N, Q, Y, X]``.
 
-        With levels give those of each grid, coarsest first, or None for what its parent fills;
-        patches move to their ``corners`` ``[N, G, 2]``, or stay where they are.
+        On a GPU ``f`` may be of all B flows. With levels give those of each grid, of N, coarsest
+        first, or None for what its parent fills; patches move to their ``corners`` ``[N, G, 2]``.
         """
-        chosen = self._choose(rows).nonzero()[:, 0]
+        chosen = self._batch.choose_written(self._choose(rows), f)
         self._batch.write_(chosen, *check_populations(f, corners, self.config, len(chosen)))
 
     def command_(
