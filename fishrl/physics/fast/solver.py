@@ -72,7 +72,6 @@ class InPlaceSolver:
             flows_per_launch=flows_per_launch,
         )
         self._batch, self._group_size = self._execution.batch, self._execution.group_size
-        self._rise = self._batch.flow.params.ramp_steps.clone()
         # several bodies overlap in the middle until they are placed
         has_many = len(self.config.bodies) > 1
         self._unplaced = self._choose(None) if has_many else None
@@ -80,6 +79,7 @@ class InPlaceSolver:
         self._commands = Commands(configs)
         self._watch.is_idle = frequency is None and self.config.fish is not None
         self._batch.initialise_()
+        self._rise = self._batch.flow.params.ramp_steps.clone()
         for body in self.bodies:
             body.frequency.copy_(self._frequency)
 
