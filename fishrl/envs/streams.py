@@ -19,7 +19,7 @@ from fishrl.envs.scene import Area
 from fishrl.envs.starts import place_fish
 from fishrl.envs.task import AbstractTask
 from fishrl.envs.wakes import WakeBank, WakeRecipe, load_wakes
-from fishrl.physics.bodies.outline import BodyParams, DCylinder
+from fishrl.physics.bodies.outline import BodyConfig, BodyParams, DCylinder
 from fishrl.physics.boundaries import Boundaries
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
@@ -166,18 +166,21 @@ class AbstractStreamTask(AbstractTask):
             shedding_frequencies=torch.stack(frequencies),
         )
 
+    @property
+    def bodies(self) -> tuple[BodyConfig, ...]:
+        """The fish and, if any, the largest disc."""
+        return self.fish, *sorted(self.discs, key=lambda disc: disc.diameter)[-1:]
+
     def flow_config(self) -> FlowConfig:
         """Return the flow of the fastest stream with the fish and, if any, the largest disc."""
         stream = self.stream
-        largest = sorted(self.discs, key=lambda disc: disc.diameter)[-1:]
         config = replace(
             super().flow_config(),
             stream_speed=self.scales.stream_speed,
-            bodies=(self.fish, *largest),
             boundaries=Boundaries.make_stream(),
         )
         for disc in self.discs:
-            replace(config, bodies=(disc,))  # raises if its markers lie too close
+            _leave_alone(config, disc)  # raises if its markers lie too close
             x, y = self.origin
             if not (min(x, y) - 0.5 * disc.diameter >= 2.0 and x <= config.width - 3.0):
                 width, height = self.domain_bl

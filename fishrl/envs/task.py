@@ -30,6 +30,7 @@ from fishrl.envs.sense import Sense, count_numbers, read_senses
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending
+from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
@@ -217,6 +218,11 @@ class AbstractTask(Settings, ABC):
         return self.skin.fit(Fish(body_length=self.body_length))
 
     @property
+    def bodies(self) -> tuple[BodyConfig, ...]:
+        """All bodies of the flow; the fish come first."""
+        return (self.fish,) * self.num_fish
+
+    @property
     def n_substeps(self) -> int:
         """Steps per action, a multiple of 2^levels."""
         unit: int = 2**self.levels
@@ -284,11 +290,7 @@ class AbstractTask(Settings, ABC):
         return width, height
 
     def list_patches(self) -> tuple[Patch, ...]:
-        """Return where the finer levels are; with none, the default, each body has a patch.
-
-        Bodies that may meet need one that holds both, such as ``Patch.between(low, high)``. Patches
-        of bodies other than fish are set in ``flow_config``, with those bodies.
-        """
+        """Return patches; with none each body has one. Those that meet need one for both."""
         return ()
 
     def flow_config(self) -> FlowConfig:
@@ -298,7 +300,7 @@ class AbstractTask(Settings, ABC):
             width=width,
             height=height,
             tau=self.scales.tau,
-            bodies=(self.fish,) * self.num_fish,
+            bodies=self.bodies,
             skin=self.skin,
             levels=self.levels,
             patches=self.list_patches() if self.levels > 1 else (),

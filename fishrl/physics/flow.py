@@ -21,6 +21,7 @@ from fishrl.physics.levels.patch import (
     RING,
     Patch,
     default_patches,
+    find_room,
     fit_patch,
     inset,
     measure_patch,
@@ -134,13 +135,14 @@ class FlowConfig(Settings):
                 )
         for patch in self.refined:
             width, height = measure_patch(patch, self.bodies, self.levels, self.list_bounds())[0]
-            (left, bottom), (right, top) = self.list_bounds()
+            (left, bottom), (right, top) = find_room(patch, self.levels, self.list_bounds())
             if width // 2 > right - left or height // 2 > top - bottom:
                 unit = self.coarsest_spacing
                 raise ValueError(
                     f"{patch} covers {width // 2 * unit} x {height // 2 * unit} nodes on its "
                     f"coarsest level, there are {(right - left) * unit} x {(top - bottom) * unit} "
-                    "away from edges and sponges: take fewer levels or enlarge the domain"
+                    f"away from edges and sponges{' in its box' if patch.within else ''}: take "
+                    "fewer levels or enlarge the domain"
                 )
 
     @property

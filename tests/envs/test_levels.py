@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from math import pi
 from typing import Any
 
 import pytest
@@ -16,7 +17,6 @@ from fishrl.envs.streams import Stream
 from fishrl.envs.tasks.predation_pair import PredationPair
 from fishrl.envs.views import make_scene, read_scene
 from fishrl.envs.wakes import WakeBank, WakeRecipe
-from fishrl.physics import FlowConfig, Patch
 from tests.envs.conftest import make_streams, reset_rows
 
 TASK: dict[str, Any] = {
@@ -113,16 +113,18 @@ def _assert_equal_rows(one: Mapping[str, Tensor], other: Mapping[str, Tensor]) -
     assert [name for name, (a, b) in pairs.items() if not torch.equal(a, b)] == []
 
 
+#: A fish far enough from the disc to have a patch of its own.
+FAR: dict[str, Any] = {
+    "domain_bl": (5.0, 3.4),
+    "start_x_bl": (1.4, 1.5),
+    "safe_area": SafeArea(near_bl=1.0, far_bl=2.0, aside_bl=0.3),
+}
+
+
 def test_episode_begins_in_the_wake_on_all_grids_and_beside_a_patch_of_the_fish(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The grids of the disc are the wake's; a fish that is far has a patch, which they fill."""
-
-    class Far(KarmanGait):
-        def flow_config(self) -> FlowConfig:
-            fish = Patch(bodies=(0,), size=(40, 30))
-            disc = Patch(bodies=(1,), size=(24, 24), centre=self.origin)
-            return replace(super().flow_config(), patches=(fish, disc))
 
     def shed(recipe: WakeRecipe, _: str) -> WakeBank:
         bank = make_streams(recipe)
@@ -133,10 +135,8 @@ def test_episode_begins_in_the_wake_on_all_grids_and_beside_a_patch_of_the_fish(
 
     generator = torch.Generator().manual_seed(0)
     monkeypatch.setattr("fishrl.envs.streams.load_wakes", shed)
-    far = {"domain_bl": (5.0, 2.4), "start_x_bl": (1.4, 1.5)}
-    area = {"safe_area": SafeArea(near_bl=1.0, far_bl=2.0, aside_bl=0.3)}
-    for kind, changes, own in ((KarmanGait, {}, [0, 1]), (Far, far | area, [0, 2])):
-        task = kind(**SHORT | KARMAN | changes)
+    for changes, own in (({}, [0, 1]), (FAR, [0, 2])):
+        task = KarmanGait(**SHORT | KARMAN | changes)
         env = FlowEnv(task=task, flows=Flows(num_envs=2, compile=False, num_workers=0), seed=1)
         wake = task.wakes.take(env.start["flow_index"], env.start["wake_phase"])
         for grid, f in zip(own, wake, strict=True):
@@ -145,3 +145,26 @@ def test_episode_begins_in_the_wake_on_all_grids_and_beside_a_patch_of_the_fish(
     assert rho.std() > 1e-5 and not env.solver.is_diverged().any()
     inside = env.solver.markers(0).mean(1, keepdim=True)
     assert env.solver.sample(inside)[1][..., 0].min() > 0.5 * float(u[:, 0].mean())
+
+
+def test_fish_that_turns_back_to_the_disc_ends_its_episode_while_its_patch_holds_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("fishrl.envs.streams.load_wakes", lambda recipe, _: make_streams(recipe))
+    task = KarmanGait(**SHORT | KARMAN | FAR)
+    env = FlowEnv(task=task, flows=Flows(num_envs=2, compile=False, num_workers=0), seed=1)
+    solver, middle = env.solver, task.origin[1]
+    places = torch.tensor([[[70.0, middle], task.disc_places[0]]], dtype=torch.float64)
+    places, heading = places.repeat(2, 1, 1), torch.tensor([[0.0, pi]] * 2, dtype=torch.float64)
+    every = torch.ones(2, dtype=torch.bool)
+    solver.reset_(every, places, heading)
+    tail = solver.markers()[..., 0].amin(1)
+    places[:, 0, 0] += task.wake_patches.least_x - tail + torch.tensor([0.5, -0.5])
+    solver.reset_(every, places, heading)
+    now = task.measure(solver, env.start)
+    assert task.is_terminated(now).tolist() == [False, True]
+    assert task.name_endings(now)["turned back to the obstacle"].tolist() == [False, True]
+    assert not solver.is_diverged().any()
+    places[1, 0, 0] -= task.travel + 1.5  # farther than it moves between two checks
+    with pytest.raises(ValueError, match="a body is not within its patch"):
+        solver.reset_(every, places, heading)

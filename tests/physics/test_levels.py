@@ -136,28 +136,36 @@ def make_fields(kind: str, num_nodes: int) -> tuple[Tensor, Tensor, Tensor]:
 
 # Factors: what is as smooth outside as inside gains nothing, and the interface adds its own error.
 @pytest.mark.parametrize(
-    ("kind", "reynolds", "walks", "factor"),
+    ("kind", "reynolds", "walks", "touches", "factor"),
     [
-        ("vortex", 1000.0, True, 1.1),
-        ("shear wave", 125.0, False, 1.5),
-        ("Taylor-Green", 125.0, True, 3.0),
+        ("vortex", 1000.0, True, False, 1.1),
+        ("vortex", 1000.0, False, True, 1.1),
+        ("shear wave", 125.0, False, False, 1.5),
+        ("Taylor-Green", 125.0, True, False, 3.0),
     ],
 )
-def test_flow_crosses_a_patch_with_about_the_error_of_the_coarse_grid(
-    kind, reynolds, walks, factor
+def test_flow_crosses_a_patch_or_two_with_about_the_error_of_the_coarse_grid(
+    kind, reynolds, walks, touches, factor
 ):
+    """Two that touch lie above each other, with their common side in the middle of the vortex."""
     num, side = 48, 24
     refined = make_box(num, 3.0 * SPEED * num / reynolds + 0.5, side)
+    if touches:
+        height = side // 2
+        boxes = [Patch.between((12, low), (36, low + height)) for low in (12, 12 + height)]
+        refined = replace(refined, patches=tuple(replace(box, bodies=()) for box in boxes))
     fine = replace(refined, levels=1, patches=())
     coarse = replace(fine, width=num // 2, height=num // 2, tau=0.5 * (fine.tau + 0.5))
     params = make_params([refined])
     exact = advance(FlowState(make_uniform(*(v[None] for v in make_fields(kind, num)))), fine, 10)
     start = torch.stack(coarsen(exact.f[..., ::2, ::2].unbind(1), params.tau), 1)
     state, without = refine(FlowState(start), refined), FlowState(start)
-    (patch,) = state.patches
-    x, y = (2 * patch.origin[0]).tolist()
-    inside = patch.flow._replace(f=exact.f[..., y : y + side + 1, x : x + side + 1])
-    state = state._replace(patches=(patch._replace(flow=inside),))
+    inside = []
+    for patch in state.patches:
+        (x, y), (height, width) = (2 * patch.origin[0]).tolist(), patch.flow.f.shape[2:]
+        f = exact.f[..., y : y + height, x : x + width]
+        inside.append(patch._replace(flow=patch.flow._replace(f=f)))
+    state = state._replace(patches=tuple(inside))
     random = torch.Generator().manual_seed(3)
     errors, own = [], []
     for _ in range(5):
@@ -248,6 +256,18 @@ def test_patch_stops_before_an_edge_and_the_flow_stays_finite():
     assert state.f.isfinite().all()
 
 
+def test_patch_stops_at_the_end_of_its_box_and_its_fish_swims_on():
+    box = ((70.0, 0.0), (160.0, 96.0))
+    patch = Patch(within=box)
+    config = make_swimmer(16, levels=2, motion=Driven(velocity=(-0.2, 0.0)), patches=(patch,))
+    fish = place_body(108.0, 48.0, math.pi, 1.0 / 180)
+    state = refine(FlowState(make_rest(config, 1), (fish,), 0.0 * ONE), config)
+    before = state.patches[0].origin
+    state = advance(state, config, 50)
+    assert before.tolist() != state.patches[0].origin.tolist() == [[35, 12]]
+    assert state.f.isfinite().all()
+
+
 def test_stream_enters_at_the_speed_of_one_level():
     config = FlowConfig(
         width=97,
@@ -273,6 +293,11 @@ def test_stream_enters_at_the_speed_of_one_level():
 FISH = Fish(body_length=16)
 
 
+def test_box_of_a_patch_that_stays_is_refused() -> None:
+    with pytest.raises(ValueError, match="leave within out"):
+        Patch(centre=(80.0, 48.0), within=((60.0, 0.0), (100.0, 96.0)))
+
+
 def test_patch_without_a_node_for_its_parent_is_refused() -> None:
     with pytest.raises(ValueError, match="greater than or equal to 8"):
         Patch(bodies=(), size=(7.0, 20.0), centre=(80.0, 48.0))
@@ -286,6 +311,10 @@ def test_patch_without_a_node_for_its_parent_is_refused() -> None:
         ({"sponges": (Sponge(length=120),)}, "away from edges and sponges"),
         ({"patches": (Patch(bodies=(0, 1)),)}, r"hold the bodies \[0, 1\] of 1"),
         ({"bodies": ()}, "at least one patch"),
+        (
+            {"patches": (Patch(within=((60.0, 0.0), (100.0, 96.0))),)},
+            "there are 40 x 88 away from edges and sponges in its box",
+        ),
     ],
 )
 def test_refused_levels_name_what_works(changes, problem):

@@ -22,6 +22,7 @@ from fishrl.envs.starts import check_fit, place_fish, place_outline
 from fishrl.envs.streams import AbstractStreamTask, Stream
 from fishrl.envs.task import AbstractTask
 from fishrl.physics.bodies.motion import Driven
+from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig, Sponge
 from fishrl.physics.levels.patch import RING, Patch
@@ -124,14 +125,17 @@ class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
         box = self.frame("patch", x_bl=x_bl, aside_bl=aside)
         return (Patch.between(box.low, box.high),)
 
+    @property
+    def bodies(self) -> tuple[BodyConfig, ...]:
+        """The follower and, if any, the leader."""
+        leader = replace(self.fish, motion=Driven())
+        return (self.fish, leader) if self.leader == "fish" else (self.fish,)
+
     def flow_config(self) -> FlowConfig:
         """Return the stream with the follower and, if any, the leader."""
-        config = super().flow_config()
-        leader = replace(self.fish, motion=Driven())
-        bodies = (self.fish, leader) if self.leader == "fish" else config.bodies
         # the first vortices would grow at the outflow
         sponge = Sponge(length=self.body_length // 2)
-        return replace(config, bodies=bodies, sponges=(sponge,))
+        return replace(super().flow_config(), sponges=(sponge,))
 
     @cached_property
     def leader_start(self) -> TensorDict:

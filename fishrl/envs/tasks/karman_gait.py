@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from math import pi
 from typing import Any, ClassVar
 
@@ -22,9 +23,10 @@ from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, Steering
 from fishrl.envs.streams import AbstractStreamTask, Stream
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
+from fishrl.envs.wake_patches import WakePatches, place_patches
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
-from fishrl.physics.levels.patch import RING, Patch
+from fishrl.physics.levels.patch import Patch
 from fishrl.physics.units import MAX_WALL_SPEED
 
 
@@ -96,16 +98,14 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
         others = torch.zeros(4, self.num_draws - 2, dtype=torch.float64)
         self.check_starts(self.starts_from(torch.cat((corners, others), 1)))
 
+    @cached_property
+    def wake_patches(self) -> WakePatches:
+        """Patches of disc and fish."""
+        return place_patches(self, self.safe_area)
+
     def list_patches(self) -> tuple[Patch, ...]:
-        """Return one patch behind a disc, which holds it and a fish with its nose in safety."""
-        if not self.discs:
-            return ()
-        area, disc = self.safe_area, max(self.stream.diameters_bl)
-        reach = 1.05 + (self.travel + self.skin.margin + RING + 1) / self.body_length
-        ahead = min(area.near_bl - reach, -0.5 * disc - 0.25)
-        aside = max(area.aside_bl + reach, 0.5 * disc + 0.25)
-        box = self.frame("patch", x_bl=(ahead, area.far_bl + reach), aside_bl=aside)
-        return (Patch.between(box.low, box.high),)
+        """Return those of ``wake_patches``; in a free stream the fish has one."""
+        return self.wake_patches.patches if self.discs else ()
 
     @property
     def num_flows(self) -> int:
@@ -221,6 +221,7 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
             "heading": body.heading.clone(),
             "age": body.age.clone(),
             "clearance": compute_clearance(markers, solver.config),
+            "room": markers[..., 0].amin(1) - self.wake_patches.least_x,
             "work": body.work / unit,
             "positive_work": body.positive_work / unit,
             "lateral_work": body.lateral_work / unit,
@@ -291,8 +292,8 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
         }
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
-        """Return whether the fish is in the danger area or at an edge."""
-        hits_edge: Tensor = now["clearance"] < self.wall_margin
+        """Return whether the fish is in the danger area, at an edge or at the disc's patch."""
+        hits_edge: Tensor = (now["clearance"] < self.wall_margin) | (now["room"] < 0.0)
         return hits_edge | (self.safe_area.measure_margin(now["place"]) <= 0.0)
 
     @property
@@ -307,7 +308,7 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
 
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
         """Return how long the fish takes at least to an edge and to the danger area."""
-        to_edge = now["clearance"] - self.wall_margin
+        to_edge = torch.minimum(now["clearance"] - self.wall_margin, now["room"])
         to_danger = self.safe_area.measure_margin(now["place"]) * self.body_length
         return torch.minimum(to_edge, to_danger) / self.marker_speed
 
@@ -330,6 +331,7 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
         return {
             **self.safe_area.name_sides(now["place"]),
             "hit an edge": now["clearance"] < self.wall_margin,
+            "turned back to the obstacle": now["room"] < 0.0,
         }
 
     def add_to_scene(self, scene: Scene) -> Scene:

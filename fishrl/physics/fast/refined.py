@@ -218,12 +218,12 @@ class RefinedBatch:
                 )
 
     def _find_overlap(self, places: Sequence[Place]) -> Tensor:
-        """Return ``[B]``: whether patches of the root share nodes, or read each other's."""
+        """Return ``[B]``: whether patches of the root share more than their outermost nodes."""
         found = torch.zeros_like(self.flow.clock, dtype=torch.bool)
         at = dict(zip(map(id, self._grids), places, strict=True))
         for one, other in combinations(self._root.inside, 2):
             gap = at[id(one)][0] - at[id(other)][0]
-            ahead, behind = (0.5 * g.last + RING for g in (other, one))
+            ahead, behind = (0.5 * g.last for g in (other, one))
             found |= ((gap < ahead) & (gap > -behind)).all(-1)
         return found
 

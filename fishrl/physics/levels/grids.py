@@ -12,7 +12,7 @@ from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundaries, Filled
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, PatchState
-from fishrl.physics.levels.patch import CLEARANCE, Patch, measure_patch
+from fishrl.physics.levels.patch import CLEARANCE, Patch, find_room, measure_patch
 from fishrl.physics.levels.transfer import (
     choose_shift,
     clamp_origin,
@@ -102,7 +102,7 @@ def _plan_patch(config: FlowConfig, patch: Patch) -> Level:
             low = CLEARANCE, CLEARANCE
             high = parent[0] - 1 - CLEARANCE, parent[1] - 1 - CLEARANCE
         else:
-            low, high = config.list_bounds()
+            low, high = find_room(patch, config.levels, config.list_bounds())
         bodies = () if inside else tuple(config.bodies[index] for index in patch.numbers)
         grid = replace(
             config,

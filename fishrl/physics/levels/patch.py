@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import ceil
+from math import ceil, floor
 from typing import Annotated, Self
 
 from pydantic import Field, NonNegativeInt
@@ -14,14 +14,15 @@ from fishrl.settings import Settings
 CLEARANCE = 2
 #: Layers of a patch that its parent fills; a skin must read further inside.
 RING = 2
-# Least distance of a body, or of the next finer patch, from the edges of a patch, in body lengths
-# and in nodes of the parent: half of it still gives the speed of a swimmer within 0.1 %.
-_MARGIN_BL, _MARGIN_NODES = 0.25, 8
+#: Least distance of a body, or of the next finer patch, from the edges of a patch, in body lengths
+#: and in nodes of the parent: half of it still gives the speed of a swimmer within 0.1 %.
+MARGIN_BL, MARGIN_NODES = 0.25, 8
 
 #: A smaller patch has no node that its parent takes.
 Side = Annotated[float, Field(ge=8)]
 
 
+Point = tuple[float, float]
 #: First and last node (x, y) of the coarsest level that patches may cover.
 Bounds = tuple[tuple[int, int], tuple[int, int]]
 
@@ -38,13 +39,18 @@ class Patch(Settings):
         size: (width, height) of the finest level; None is a square that holds the first body at
             any heading, with the margin all round.
         centre: (x, y) of a patch that stays; None follows.
+        within: two corners (x, y) of a box that a patch which follows does not leave, so that it
+            never meets another; its bodies must not either. None is all water.
     """
 
     bodies: tuple[NonNegativeInt, ...] | None = (0,)
     size: tuple[Side, Side] | None = None
-    centre: tuple[Annotated[float, Field()], Annotated[float, Field()]] | None = None
+    centre: Point | None = None
+    within: tuple[Point, Point] | None = None
 
     def __post_init__(self) -> None:
+        if self.within is not None and self.centre is not None:
+            raise ValueError("a Patch with a centre stays there: leave within out, or the centre")
         if self.bodies == () and (self.size is None or self.centre is None):
             raise ValueError("a Patch without bodies needs both size and centre")
 
@@ -95,6 +101,18 @@ def fit_patch(patch: Patch, num_bodies: int, num_levels: int, bounds: Bounds) ->
     return replace(Patch.between((left, bottom), (right, top)), bodies=patch.bodies)
 
 
+def find_room(patch: Patch, num_levels: int, bounds: Bounds) -> Bounds:
+    """Return the part of ``bounds`` that a patch may cover."""
+    if patch.within is None:
+        return bounds
+    unit, (first, last) = 2 ** (num_levels - 1), patch.within
+    (left, bottom), (right, top) = bounds
+    return (
+        (max(left, ceil(first[0] / unit)), max(bottom, ceil(first[1] / unit))),
+        (min(right, floor(last[0] / unit)), min(top, floor(last[1] / unit))),
+    )
+
+
 def measure_patch(
     patch: Patch, bodies: Sequence[BodyConfig], num_levels: int, bounds: Bounds
 ) -> list[tuple[int, int]]:
@@ -104,7 +122,7 @@ def measure_patch(
     """
     length = bodies[patch.numbers[0]].size if patch.bodies else 0.0
     if patch.size is None:
-        side = length + 2.0 * max(_MARGIN_BL * length, 2.0 * _MARGIN_NODES)
+        side = length + 2.0 * max(MARGIN_BL * length, 2.0 * MARGIN_NODES)
         width, height = side, side
     else:
         width, height = patch.size
@@ -118,6 +136,6 @@ def measure_patch(
             width, height = min(width, most[0]), min(height, most[1])
         cells = ceil(width / (2 * spacing)), ceil(height / (2 * spacing))
         sizes.append((2 * cells[0] + 1, 2 * cells[1] + 1))
-        margin = max(0.0 if stays else _MARGIN_BL * length, 4.0 * _MARGIN_NODES * spacing)
+        margin = max(0.0 if stays else MARGIN_BL * length, 4.0 * MARGIN_NODES * spacing)
         width, height = (2 * spacing * n + 2.0 * margin for n in cells)
     return sizes[::-1]
