@@ -52,10 +52,7 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
     ("fishrl/training/", TENSORS | {"torchrl", "tqdm", "yaml", "psutil", "wandb", "ray", "fishrl"}),
     ("fishrl/zoo/", TENSORS | {"huggingface_hub", "fishrl"}),
-    (
-        "fishrl/benchmark/",
-        TENSORS | {"fishrl.benchmark", "fishrl.envs", "fishrl.training"},
-    ),
+    ("fishrl/benchmark/", TENSORS | {"fishrl.benchmark", "fishrl.envs", "fishrl.training"}),
     ("fishrl/__main__.py", {"fishrl.programs"}),
     ("fishrl/programs/", PROGRAMS),
     (

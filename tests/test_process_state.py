@@ -28,7 +28,8 @@ from tests.physics.flows import place_body
 from tests.process_state import leaving_process_as_it_was
 
 EAGER = Flows(num_envs=2, compile=False)
-TASK = Predation(**TINY, time_limit=2)
+#: Actions of a few steps.
+TASK = Predation(**TINY, time_limit=2, control_interval_T=0.25, checks_per_action=10)
 PAIR = {"start_y_bl": (1.0, 2.0), "start_gap_bl": 0.6}
 CONFIG = FlowConfig(width=40, height=32, tau=0.6, bodies=(Cylinder(diameter=8),))
 

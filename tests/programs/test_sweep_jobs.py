@@ -119,9 +119,7 @@ def begin(folder: Path, *words: str) -> Job:
     return job
 
 
-def test_run_continues_only_with_same_settings(
-    tmp_path: Path,
-) -> None:
+def test_run_continues_only_with_same_settings(tmp_path: Path) -> None:
     first = begin(tmp_path)
     assert find_runs([f"folder={tmp_path}"]) == [first.path]
     assert find_runs([f"folder={tmp_path}", "seed=1,2"]) == []

@@ -59,7 +59,7 @@ def test_a_frequency_is_a_finite_number_or_one_for_each_flow(frequency: object) 
 
 
 def test_environment_with_workers_says_how_it_is_copied() -> None:
-    env = make_env(task=Predation(**TINY), flows=Flows(num_envs=2, compile=False, num_workers=2))
+    env = make_env(task=Predation(**TINY), flows=Flows(num_envs=2, compile=False, num_workers=1))
     with pytest.raises(TypeError, match=r"make another one, and load_state_dict\(state_dict\(\)\)"):
         copy.deepcopy(env)
     env.close()

@@ -27,7 +27,7 @@ ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="it reads /proc")
 PROGRAM = """
 from fishrl.physics import FlowConfig, InPlaceSolver
 config = FlowConfig(width=32, height=24, tau=0.6)
-solver = InPlaceSolver(config=config, num_envs=2, compile=False, num_workers=2)
+solver = InPlaceSolver(config=config, num_envs=1, compile=False, num_workers=1)
 print("begun", flush=True)
 solver.compile()
 print("ready", flush=True)
@@ -64,6 +64,24 @@ def make_solver(num_workers: int, *, compile: bool = False) -> InPlaceSolver:
     return solver
 
 
+def list_processes(solver: InPlaceSolver) -> list[subprocess.Popen[bytes]]:
+    assert solver._execution.workers is not None
+    return list(solver._execution.workers._processes)
+
+
+def assert_ended_by(
+    kind: type[BaseException],
+    solver: InPlaceSolver,
+    processes: list[subprocess.Popen[bytes]],
+    match: str = "",
+) -> None:
+    with pytest.raises(kind, match=match):
+        solver.advance_(2)
+    assert all(process.poll() is not None for process in processes)
+    with pytest.raises(ChildProcessError, match="make a new solver"):
+        solver.advance_(2)
+
+
 def find_processes(mark: str) -> set[int]:
     """Return the processes that have a word in their environment."""
     found = set()
@@ -74,20 +92,6 @@ def find_processes(mark: str) -> set[int]:
         except OSError:  # it has ended
             pass
     return found
-
-
-def test_flows_in_workers_equal_local_flows_until_closed() -> None:
-    here, there = make_solver(0), make_solver(2)
-    for solver in (here, there):
-        solver.advance_(6)
-    assert here.populations().abs().max() > 0
-    assert torch.equal(here.populations(), there.populations())
-    assert there._execution.workers is not None
-    processes = list(there._execution.workers._processes)
-    there.close()
-    assert all(process.poll() is not None for process in processes)
-    with pytest.raises(RuntimeError, match="this solver is closed: make a new one"):
-        there.advance_(2)
 
 
 def test_flows_are_checked_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,7 +111,7 @@ def test_flows_are_checked_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> Non
         torch.set_num_threads(before)
 
 
-def test_workers_share_the_flows_that_advance_whichever_they_are(
+def test_workers_share_the_flows_that_advance_and_equal_local_ones_until_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     body = DCylinder(diameter=8, motion=Oscillating(sway=(1.0, 0.5)))
@@ -132,7 +136,11 @@ def test_workers_share_the_flows_that_advance_whichever_they_are(
         assert sorted(shares) == [int(rows.sum()) // 2, (int(rows.sum()) + 1) // 2]
         for name, value in here.state_dict().items():
             assert torch.equal(value, there.state_dict()[name]), name
+    processes = list_processes(there)
     there.close()
+    assert len(processes) == 2 and all(process.poll() is not None for process in processes)
+    with pytest.raises(RuntimeError, match="this solver is closed: make a new one"):
+        there.advance_(2)
 
 
 @pytest.mark.compile
@@ -171,7 +179,7 @@ def test_single_flow_starts_processes_only_to_compile(
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
-def test_interrupted_while_it_waits_for_workers_a_solver_starts_others(
+def test_interrupted_while_it_waits_a_solver_starts_others_and_one_killed_ends_all(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     solver = make_solver(2)
@@ -181,6 +189,20 @@ def test_interrupted_while_it_waits_for_workers_a_solver_starts_others(
             solver.compile()
     solver.advance_(2)
     assert solver.populations().any()
+    processes = list_processes(solver)
+    processes[1].kill()
+    assert_ended_by(ChildProcessError, solver, processes, "it was killed")
+
+
+@pytest.mark.usefixtures("heeds_ctrl_c")
+def test_an_interrupt_leaves_no_worker_with_an_answer_that_nobody_has_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    solver = make_solver(1)
+    solver.advance_(2)
+    interrupt = lambda: signal.raise_signal(signal.SIGINT)  # noqa: E731
+    monkeypatch.setattr(solver._execution.workers, "wait", interrupt)
+    assert_ended_by(KeyboardInterrupt, solver, list_processes(solver))
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
@@ -191,28 +213,6 @@ def test_flow_interrupted_within_step_cannot_continue(monkeypatch: pytest.Monkey
     with pytest.raises(KeyboardInterrupt):
         solver.advance_(2)
     with pytest.raises(RuntimeError, match="was interrupted within a step: make a new one"):
-        solver.advance_(2)
-
-
-@pytest.mark.usefixtures("heeds_ctrl_c")
-@pytest.mark.parametrize("kind", [ChildProcessError, KeyboardInterrupt])
-def test_a_killed_worker_and_an_interrupt_end_all_workers(
-    kind: type[BaseException], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """None is left with an answer that nobody has read."""
-    solver = make_solver(2)
-    solver.advance_(2)
-    workers = solver._execution.workers
-    assert workers is not None
-    processes = list(workers._processes)
-    if kind is ChildProcessError:
-        processes[1].kill()
-    else:
-        monkeypatch.setattr(workers, "wait", lambda: signal.raise_signal(signal.SIGINT))
-    with pytest.raises(kind, match="it was killed" if kind is ChildProcessError else ""):
-        solver.advance_(2)
-    assert all(process.poll() is not None for process in processes)
-    with pytest.raises(ChildProcessError, match="make a new solver"):
         solver.advance_(2)
 
 
@@ -244,7 +244,7 @@ def test_nothing_is_left_of_a_program_that_is_killed(
         assert program.stdout is not None
         while program.stdout.readline().decode().strip() != phase:
             assert program.poll() is None
-        assert phase == "begun" or len(find_processes(str(tmp_path))) >= 3
+        assert phase == "begun" or len(find_processes(str(tmp_path))) >= 2
         program.send_signal(number)
     deadline = time.monotonic() + 300.0
     while (left := find_processes(str(tmp_path))) and time.monotonic() < deadline:
@@ -289,16 +289,16 @@ def test_a_forked_process_keeps_no_worker_alive_and_ends_none(tmp_path: Path) ->
     os.kill(left.pop(), signal.SIGKILL)
 
 
-def test_workers_import_classes_of_modules_next_to_script(tmp_path: Path) -> None:
+def test_workers_import_classes_of_modules_next_to_script_and_none_of_the_script(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "own_motion.py").write_text(OWN_CLASS)
     script = tmp_path / "script.py"
-    run, show = "make(compile=False, num_workers=1).advance_(2)", "make()._execution.num_workers"
-    for code in (
-        f"from own_motion import Own{WITH_OWN}{run}",
-        f"{OWN_CLASS}{WITH_OWN}assert {show} == 0",
-    ):
-        script.write_text(code)
-        subprocess.run([sys.executable, str(script)], check=True)
+    script.write_text(
+        f"from own_motion import Own{WITH_OWN}make(compile=False, num_workers=1).advance_(2)\n"
+        f"{OWN_CLASS}{WITH_OWN}assert make()._execution.num_workers == 0"
+    )
+    subprocess.run([sys.executable, str(script)], check=True)
 
 
 def test_a_class_that_workers_cannot_import_is_refused() -> None:
