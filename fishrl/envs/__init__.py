@@ -2,11 +2,7 @@
 
 from fishrl.envs.command import Command
 from fishrl.envs.episodes import run_episodes
-from fishrl.envs.extensions import (
-    HasFlowLabels,
-    HasHistory,
-    HasScene,
-)
+from fishrl.envs.extensions import HasFlowLabels, HasHistory, HasScene
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.flows import Flows
 from fishrl.envs.making import make_env, make_task

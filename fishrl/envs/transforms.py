@@ -30,8 +30,7 @@ class FlowLabelTransform(Transform):
     def __init__(self, *, num_flows: int, in_key: str, is_observed: bool = True) -> None:
         observed = ["observation"] if is_observed else []
         super().__init__(
-            in_keys=[in_key, *observed],
-            out_keys=["flow_probabilities", "flow_class", *observed],
+            in_keys=[in_key, *observed], out_keys=["flow_probabilities", "flow_class", *observed]
         )
         self.num_flows, self.is_observed = num_flows, is_observed
 

@@ -57,13 +57,7 @@ from torch import Tensor
 
 from fishrl.physics.boundaries import apply_boundaries_
 from fishrl.physics.collision import Collided, collide_mrt, compute_macroscopic
-from fishrl.physics.flow import (
-    FlowConfig,
-    FlowParams,
-    FlowState,
-    compute_stream_speed,
-    make_params,
-)
+from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, compute_stream_speed, make_params
 from fishrl.physics.levels.grids import (
     Level,
     fill_patches,
@@ -133,10 +127,7 @@ def _step_level(state: FlowState, level: Level, params: FlowParams) -> FlowState
 
 
 def _step_grid(
-    state: FlowState,
-    config: FlowConfig,
-    params: FlowParams,
-    external_force: Tensor | None = None,
+    state: FlowState, config: FlowConfig, params: FlowParams, external_force: Tensor | None = None
 ) -> FlowState:
     """Advance one grid by one step."""
     f, bodies = state.f.unbind(1), state.bodies

@@ -21,15 +21,7 @@ from fishrl.settings.base import (
     list_fields,
 )
 from fishrl.settings.messages import suggest, unknown
-from fishrl.settings.plain import (
-    TARGET,
-    build,
-    describe,
-    find_class,
-    find_main,
-    flatten,
-    to_plain,
-)
+from fishrl.settings.plain import TARGET, build, describe, find_class, find_main, flatten, to_plain
 
 __all__ = [
     "REQUIRED",

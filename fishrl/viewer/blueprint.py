@@ -31,8 +31,7 @@ def _lay_out(rrb: Any, scene: Scene, flow: int, title: str, is_live: bool) -> An
         origin=f"{root}/world",
         name=title,
         visual_bounds=rrb.VisualBounds2D(
-            x_range=[-margin, scene.width + 0.5 * margin],
-            y_range=[-margin, scene.height + margin],
+            x_range=[-margin, scene.width + 0.5 * margin], y_range=[-margin, scene.height + margin]
         ),
         background=rrb.Background(color=[255, 255, 255]),
     )

@@ -22,11 +22,7 @@ from torch import Tensor
 from fishrl.files import staged
 from fishrl.locks import take_lock
 from fishrl.physics.cache_key import hash_sources, make_key
-from fishrl.physics.fast.inductor import (
-    find_compiler_problem,
-    set_up_inductor,
-    without_collector,
-)
+from fishrl.physics.fast.inductor import find_compiler_problem, set_up_inductor, without_collector
 
 logger = logging.getLogger(__name__)
 
@@ -161,9 +157,7 @@ def _make_twin(t: Tensor) -> Tensor:
 
 
 def _trace(
-    function: InPlaceFunction,
-    example: Sequence[Tensor],
-    mode: Literal["real", "symbolic"] = "real",
+    function: InPlaceFunction, example: Sequence[Tensor], mode: Literal["real", "symbolic"] = "real"
 ) -> torch.fx.GraphModule:
     from torch.fx.experimental.proxy_tensor import make_fx
 

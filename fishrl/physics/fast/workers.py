@@ -179,10 +179,7 @@ def serve() -> None:
     configs, group_size, file, compile = pickle.load(requests)
     _begin()
     batch = make_batch(
-        configs,
-        group_size=group_size,
-        device=torch.device("cpu"),
-        allocate=SharedMemory(file),
+        configs, group_size=group_size, device=torch.device("cpu"), allocate=SharedMemory(file)
     )
     try:
         if compile:

@@ -98,11 +98,7 @@ class Passed(NamedTuple):
 
 
 def find_passed(
-    before: Tensor,
-    now: Tensor,
-    counts: Sequence[int],
-    size: tuple[int, int],
-    dtype: torch.dtype,
+    before: Tensor, now: Tensor, counts: Sequence[int], size: tuple[int, int], dtype: torch.dtype
 ) -> Passed:
     """Return the nodes that clockwise closed polygons ``[B, N, 2]`` passed between two places.
 

@@ -11,11 +11,7 @@ from types import FrameType
 
 import psutil
 
-from fishrl.training.interruption import (
-    handling_signals,
-    leave_closed_terminal,
-    list_heeded,
-)
+from fishrl.training.interruption import handling_signals, leave_closed_terminal, list_heeded
 
 logger = logging.getLogger(__name__)
 
