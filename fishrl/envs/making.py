@@ -31,6 +31,14 @@ class StableEnv(TransformedEnv):
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         return super()._reset(tensordict, **kwargs)
 
+    def any_done(self, tensordict: TensorDictBase) -> bool:
+        """Return whether any row is done, as TorchRL, which reads it twice."""
+        done = tensordict["done"]
+        is_any = bool(done.any())
+        if is_any:
+            tensordict["_reset"] = done.clone()
+        return is_any
+
     @in_own_state
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         return super()._step(tensordict)

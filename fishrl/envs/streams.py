@@ -234,8 +234,8 @@ class AbstractStreamTask(AbstractTask):
         speeds = make_constant(self.stream.speeds_bl, torch.float64, rows.device)
         solver.set_stream_speed_(self.scales.reference_speed * speeds[flow], rows)
         if self.discs:
-            places = make_constant(tuple(self.disc_places), position.dtype, position.device)
-            position = torch.stack((position, places[flow]), 1)
+            places = make_constant(tuple(self.disc_places), torch.float32, position.device)
+            position = torch.stack((position, places[flow].to(position)), 1)
             params = _make_params(self.discs, rows.device)
             solver.set_body_(1, pytree.tree_map(lambda each: each[flow], params), rows)
             heading = torch.stack((heading, torch.full_like(heading, pi)), 1)

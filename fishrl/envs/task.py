@@ -3,11 +3,11 @@
 A task defines where fish start, what an action commands, what is measured, and how observation,
 reward and termination follow from the measurement. Everything is a tensor or TensorDict with a
 leading batch axis B; there are no loops over the batch, and rows are distinguished by masks
-(``torch.where``). A task keeps no state: what persists between decisions is in the flow, in the
-starts or in the last measurement. The environment handles specs, resets, sub-steps, divergence and
-checkpoints. ``fishrl.envs.extensions`` holds optional bases, such as sensor series and memory, flow
-labels, and items of the scene. Names end in ``_bl`` for body lengths L, in ``_T`` for periods T and
-in an underscore for what changes its object in place.
+(``torch.where``). Where none is read on the host, a decision on a GPU is one graph. A task keeps no
+state: what persists between decisions is in the flow, in the starts or in the last measurement. The
+environment handles specs, resets, sub-steps, divergence and checkpoints. Optional bases, such as
+sensor series, memory and flow labels, are in ``fishrl.envs.extensions``. Names end in ``_bl`` for
+body lengths L, in ``_T`` for periods T, in an underscore for what changes its object in place.
 """
 
 from abc import ABC, abstractmethod

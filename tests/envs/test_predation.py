@@ -84,7 +84,7 @@ def test_each_episode_draws_its_own_path(seed: int) -> None:
         assert low - 1e-6 <= path[name].min() <= low + edge
         assert high - edge <= path[name].max() <= high + 1e-6
     age = torch.full((200,), 10.0 * task.scales.period)
-    ahead = task.foresee_food(starts, age)
+    ahead = (task.foresee_food(starts, age) / task.body_length).float()
     assert LEAD_T == controllers.LEAD_T
     later = task.locate_food(starts, age + 7 * LEAD_T * task.scales.period) / task.body_length
     torch.testing.assert_close(ahead[:, 7], later.float())

@@ -226,7 +226,7 @@ class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
         self, before: TensorDictBase, action: Tensor, now: TensorDictBase
     ) -> dict[str, Tensor]:
         """Keep the last two actions, each number in [-1, 1]."""
-        low, high = make_constant(self.action_bounds, action.dtype, action.device).T
+        low, high = make_constant(self.action_bounds, torch.float32, action.device).to(action).T
         share = 2.0 * (action - low) / (high - low) - 1.0
         return {"actions": torch.stack((before["actions"][:, 1], share), 1)}
 

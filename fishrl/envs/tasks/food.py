@@ -137,10 +137,9 @@ class AbstractFoodTask(AbstractTask):
         return self.body_length * torch.stack((x, y), -1)
 
     def foresee_food(self, starts: TensorDictBase, age: Tensor) -> Tensor:
-        """Return the food's ``NUM_AHEAD`` places ``[B, K, 2]``, body lengths, every ``LEAD_T``."""
+        """Return the food's ``NUM_AHEAD`` places ``[B, K, 2]``, nodes, ahead every ``LEAD_T``."""
         leads = torch.arange(NUM_AHEAD, device=age.device) * (LEAD_T * self.scales.period)
-        ages = age[:, None] + leads
-        return (self.locate_food(starts, ages) / self.body_length).float()
+        return self.locate_food(starts, age[:, None] + leads)
 
     def draw_path(self, chance: Tensor) -> dict[str, Tensor]:
         """Draw the food's direction and the numbers of its path that have a range.

@@ -189,7 +189,12 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
 
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Measure heading, own motion, food and distance from the walls of each fish."""
-        food, shape = self.locate_food(starts, solver.body.age), shape_fish(self, len(starts))
+        return self._measure_fishes(solver, starts, self.locate_food(starts, solver.body.age))
+
+    def _measure_fishes(
+        self, solver: InPlaceSolver, starts: TensorDictBase, food: Tensor
+    ) -> TensorDict:
+        shape = shape_fish(self, len(starts))
         each = [self._measure_fish(solver, index, food) for index in range(self.num_fish)]
         now = {name: torch.stack([own[name] for own in each], 1) for name in each[0]}
         now = {name: value.view(*shape, *value.shape[2:]) for name, value in now.items()}
@@ -201,13 +206,14 @@ class AbstractPredation(AbstractControlTask, AbstractFoodTask, HasScene):
 
     def _measure_fish(self, solver: InPlaceSolver, index: int, food: Tensor) -> dict[str, Tensor]:
         body, markers = solver.bodies[index], solver.markers(index)
-        heading, motion = body.heading, measure_own_motion(body, self.scales.period)["own_motion"]
+        heading, motion = body.heading, body.position[:, :0]
         if self.bends:
             heading = heading + body.internal_angle
+            motion = measure_own_motion(body, self.scales.period)["own_motion"]
         return {
             "heading": heading,
             "beats": body.beats,
-            "own_motion": motion if self.bends else motion[:, :0],
+            "own_motion": motion,
             "target": sense_target(markers[:, 0], heading, food, body_length=self.body_length),
             "clearance": compute_clearance(markers, solver.config),
         }
@@ -269,8 +275,9 @@ class Predation(AbstractPredation):
 
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Also foresee the food."""
-        ahead = self.foresee_food(starts, solver.body.age)
-        return super().measure(solver, starts).set("food_ahead", ahead)
+        places = self.foresee_food(starts, solver.body.age)
+        now = self._measure_fishes(solver, starts, places[:, 0])
+        return now.set("food_ahead", (places / self.body_length).float())
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``captured`` ``[B]``, and ``food_ahead``, the path of the food."""
