@@ -1,178 +1,277 @@
 """Levels.
 
-Grids of different spacing against the finest one everywhere. A NACA0012 fish with Carling's gait
-and `BounceBack()` swims freely from rest in a closed tank of 10 L × 5 L, with L = 100 near it and
-two coarser levels around, and with L = 64 and one; deviations are the largest of all beats after
-the first, in which it hardly moves. A cylinder of D = 20 nodes in a stream of 18 D × 9 D, Re = 100,
-sheds vortices that leave its patch of 5 D × 3 D. Uniform flow crosses patches that walk at random
-(double precision). The water in the tank must not become more or less.
+Each flow runs with levels, fine in a patch and coarser outside, and on the finest grid everywhere.
+NACA0012 fish with Carling's gait and `BounceBack()` swim from rest in 10 L × 5 L, L = 100 with
+three levels unless stated; of all beats after the first, in which they hardly move, the one that
+deviates most counts. They swim freely along a closed tank for ten beats; for four (Re = 1000) at
+angles to the grid, in frames that move with all edges, in nodes per step, and in a stream; they
+turn by 90° (Re = 7142), commanded in the beats 3 and 4 of five, with L = 64 and two levels as well,
+or by bending in the beats 3 to 10 of eleven; and two of L = 64 pass 0.6 L apart in one patch that
+stays (Re = 1000, two levels, eight beats). A cylinder (D = 20) and half a one (D = 26, flat side
+downstream) in a stream of 18 D × 9 D shed vortices that leave a patch of 5 D × 3 D. The force on a
+free fish (Re = 7142, two levels, five beats) is averaged over four steps each. Uniform flow crosses
+patches that walk at random (double precision).
 """
 
-from collections.abc import Iterator
-from math import pi
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
 
-import torch
 from matplotlib.figure import Figure
 
 from experiments.validation.case import Case, Check, Job, Result, Runs
-from experiments.validation.wake import kick, measure_wake, start_flow
-from fishrl.physics import Boundaries, Cylinder, Fish, FlowConfig, Free, Patch, Scales, compute_tau
-from fishrl.physics.cases import PERIODIC, make_swimmer_config
-from fishrl.physics.flow import FlowState, make_params, make_uniform
-from fishrl.physics.levels.grids import fill_patches, make_patches, move_patch, plan_levels
-from fishrl.physics.placement import find_water
-from fishrl.physics.step import step
+from experiments.validation.refined_flows import cross_uniform_flow, feel_shifts, hold, swim
 
-NUM_BEATS, START_BL = 10, 8.5
-# body length, levels, Reynolds number
-SWIMMERS = ((100, 3, 500.0), (100, 3, 7142.0), (64, 2, 7142.0))
-SPEED_LIMIT, POWER_LIMIT, MASS_LIMIT = 0.003, 0.007, 5e-6
-WAKE_LIMITS = {"drag": 0.002, "lift_amplitude": 0.01, "strouhal": 0.003}
-WAKE_NAMES = {"drag": "C_d", "lift_amplitude": "C_l amplitude", "strouhal": "St"}
-ROUND_OFF = 1e-15
+SPEED, POWER = {"speed": 0.003}, {"power": 0.007}
+SWIM = SPEED | POWER
+WAKE = {"drag": 0.002, "lift_amplitude": 0.01, "strouhal": 0.003}
+MASS_LIMIT, NOISE_LIMIT, ROUND_OFF = 5e-6, 1.2, 1e-15
+NAMES = {"drag": "C_d", "lift_amplitude": "C_l amplitude", "strouhal": "St"}
 OWN = "own criterion"
+REST = "at rest"
 
 
-def swim_refined(*, body_length: int, levels: int, reynolds: float) -> Result:
-    """Swim along a tank from rest.
+@dataclass(frozen=True)
+class Group:
+    """Flows that are judged together.
 
-    Returns ``speed`` along -x (L / T) and mean ``power`` of the muscles (rho L^4 / T^3) of each
-    beat, the change of the water's mean density, ``mass``, and node ``updates`` per beat.
+    Args:
+        name: what they are.
+        limits: largest deviation from the finest grid everywhere, by quantity.
+        flows: arguments of ``function`` by name, with more than one level.
+        function: runs them.
+        is_closed: whether no water enters or leaves.
+        varied: whether they run with the changes of ``VARIED``, too.
     """
-    scales = Scales.from_budget(body_length=body_length, reynolds=reynolds, multiple=8)
-    width, height = 10 * body_length + 1, 5 * body_length + 1
-    fish = Fish(body_length=body_length, motion=Free())
-    config = make_swimmer_config(scales, bodies=(fish,), width=width, height=height, levels=levels)
-    place = (START_BL * body_length, 2.5 * body_length)
-    solver = start_flow(config, place, pi, frequency=1.0 / scales.period)
-    body, unit = solver.body, body_length**4 * scales.reference_speed**2 / body_length**2
-    speeds, powers = [], []
-    for _ in range(NUM_BEATS):
-        x, work = body.position[0, 0].clone(), body.work[0].clone()
-        solver.advance_(scales.period)
-        speeds.append(float(x - body.position[0, 0]) / body_length)
-        powers.append(float(body.work[0] - work) / unit)
-    if solver.is_diverged().any():
-        raise RuntimeError(f"the flow diverged at L = {body_length} with {levels} levels")
-    drho = solver.macroscopic()[0].double() - 1.0
-    water = find_water([solver.markers()], config, torch.ones_like(drho, dtype=torch.bool))
-    return {
-        "speed": speeds,
-        "power": powers,
-        "mass": float(drho[water].mean()),
-        "updates": config.updates_per_step * scales.period,
-    }
+
+    name: str
+    limits: Mapping[str, float]
+    flows: Mapping[str, Mapping[str, Any]]
+    function: Any = swim
+    is_closed: bool = False
+    varied: bool = False
+
+    def read(self, runs: Runs) -> dict[str, tuple[Result, Result]]:
+        """Return the results of each flow with levels, and on the finest grid everywhere."""
+        found = {}
+        for name, given in self.flows.items():
+            pair = (self.get(runs, given), self.get(runs, {**given, "levels": 1}))
+            found[name] = pair
+        return found
+
+    def explain(self, runs: Runs, quantity: str) -> str:
+        """Return what else changes a quantity."""
+        words = []
+        for name, given in self.flows.items() if self.varied else ():
+            uniform = self.get(runs, {**given, "levels": 1})
+            every = (self.get(runs, {**given, **changes}) for changes in VARIED)
+            ratios = [compare(each, uniform, quantity, 1)[0] for each in every]
+            values = " and ".join(f"{100.0 * (ratio - 1.0):+.2f}" for ratio in ratios)
+            words.append(f"{values} % ({name})")
+        return f"{VARIED_NOTE} {', '.join(words)}." if words else ""
+
+    def get(self, runs: Runs, given: Mapping[str, Any]) -> Result:
+        """Return the result of one flow."""
+        own = ((job, result) for job, result in runs.finished if job.function is self.function)
+        return next(result for job, result in own if job.arguments == given)
 
 
-def hold_cylinder(*, levels: int) -> Result:
-    """Hold a cylinder in a stream; returns the results of ``measure_wake``."""
-    diameter, reynolds, speed = 20, 100.0, 0.08
-    place = (5.0 * diameter, 4.5 * diameter)
-    body = Cylinder(diameter=diameter, motion=kick(speed, diameter))
-    around = Patch(size=(5.0 * diameter, 3.0 * diameter), centre=(6.0 * diameter, place[1]))
-    config = FlowConfig(
-        width=18 * diameter + 1,
-        height=9 * diameter + 1,
-        tau=compute_tau(length=diameter, speed=speed, reynolds=reynolds),
-        stream_speed=speed,
-        bodies=(body,),
-        boundaries=Boundaries.make_stream(),
-        levels=levels,
-        patches=(around,),
-    )
-    solver = start_flow(config, place, stream=(1.0, 0.0))
-    return measure_wake(
-        solver,
-        diameter=diameter,
-        speed=speed,
-        travels=(70.0, 40.0),
-        window=(2.0, 16.0, 1.0, 8.0),
-        is_shedding=True,
-    )
-
-
-def cross_uniform_flow(*, levels: int) -> Result:
-    """Let patches walk at random in a uniform flow; returns its largest ``error``."""
-    patch = Patch(bodies=(), size=(40, 40), centre=(80.0, 80.0))
-    config = FlowConfig(
-        width=160, height=160, tau=0.52, boundaries=PERIODIC, levels=levels, patches=(patch,)
-    )
-    params, root = make_params([config]), plan_levels(config)
-    width, height = config.coarsest_size
-    one = torch.ones(1, height, width, dtype=torch.float64)
-    given = make_uniform(0.01 * one, 0.05 * one, -0.03 * one)
-    state = make_patches(FlowState(given), config, params)
-    random = torch.Generator().manual_seed(1)
-    low, high = (torch.tensor(ends) for ends in root.patches[0].frame[1:])
-    for _ in range(100):
-        by = torch.randint(-1, 2, (1, 2), generator=random)
-        goal = state.patches[0].origin + by
-        by = torch.where((goal >= low) & (goal <= high), by, 0)
-        state = fill_patches(state, root, params)
-        state = state._replace(patches=(move_patch(state.patches[0], by),))
-        state = step(state, config, params)
-    inside = state.patches[0].flow.f - given[:, :, :1, :1]
-    return {"error": float(max((state.f - given).abs().max(), inside.abs().max()))}
+Given = Mapping[str, Any]
+FINE: Given = {"levels": 3, "body_length": 100, "reynolds": 1000.0}
+MIDDLE = {"places": [[5.5, 2.6]], "edges": "moving"}
+STREAM = {"places": [[5.0, 2.5]], "edges": "stream", "stream": 0.04}
+ANGLES: Mapping[str, Given] = {
+    f"{angle}°" if angle else REST: {**MIDDLE, "headings": [180.0 + angle]} for angle in (0, 30, 45)
+}
+FRAMES: Mapping[str, Given] = {
+    f"frame at {speed:+}": {"places": [[x, 2.6]], "edges": "moving", "stream": speed}
+    for speed, x in ((0.08, 4.0), (-0.08, 8.2))
+}
+TURN = {**FINE, "reynolds": 7142.0, "places": [[7.5, 2.2]], "headings": [135.0]}
+COMMANDED = {**TURN, "motion": "commanded", "turns": [0, 0, 45, 45, 0]}
+#: What else changes the turns.
+VARIED = ({"patch_bl": 2.5}, {"levels": 1, "places": [[7.503, 2.204]]})
+VARIED_NOTE = (
+    "Vortices of the turn leave the patch. Its beats also depend on where on the grid it starts: "
+    "with a patch of 2.5 L, not 1.5 L, and on the uniform grid with the start part of a node "
+    "aside, deviations are"
+)
+FREE, TURNS = "free fish", "turns by 90°"
+GROUPS = (
+    Group(
+        FREE,
+        SWIM,
+        {
+            f"L = {length}, {levels} levels, Re = {reynolds}": {
+                "levels": levels,
+                "body_length": length,
+                "reynolds": float(reynolds),
+                "num_beats": 10,
+            }
+            for length, levels in ((100, 3), (64, 2))
+            for reynolds in (500, 7142)
+        },
+        is_closed=True,
+    ),
+    Group("angles", SWIM, {name: {**FINE, **own} for name, own in ANGLES.items()}),
+    Group(
+        "frames and stream",
+        SWIM,
+        {name: {**FINE, **own} for name, own in {**FRAMES, "stream of 0.04": STREAM}.items()},
+    ),
+    Group(
+        TURNS,
+        {**SWIM, "turned": 0.003},
+        {
+            "commanded": COMMANDED,
+            "commanded, L = 64, 2 levels": {**COMMANDED, "levels": 2, "body_length": 64},
+            "bending": {**TURN, "motion": "bending", "turns": [0, 0, *[15] * 8, 0]},
+        },
+        is_closed=True,
+        varied=True,
+    ),
+    Group(
+        "passing fish",
+        SWIM,
+        {
+            "L = 64, 2 levels": {
+                "levels": 2,
+                "body_length": 64,
+                "places": [[6.1, 2.8], [3.9, 2.2]],
+                "headings": [180.0, 0.0],
+                "shared": [[2.9, 1.5], [7.1, 3.5]],
+                "num_beats": 8,
+            }
+        },
+        is_closed=True,
+    ),
+    Group(
+        "wakes",
+        WAKE,
+        {
+            "cylinder, Re = 100": {"levels": 2, "reynolds": 100.0, "diameter": 20},
+            "cylinder, Re = 200": {"levels": 2, "reynolds": 200.0, "diameter": 20},
+            "half disc, Re = 200": {
+                "levels": 2,
+                "reynolds": 200.0,
+                "diameter": 26,
+                "is_half": True,
+            },
+        },
+        hold,
+    ),
+)
+SHIFTS = {"body_length": 100, "reynolds": 7142.0, "num_beats": 5}
+FOUR: Given = {"levels": 4, "body_length": 200, "reynolds": 1000.0}
+#: Finer grids without a uniform one: free fish, and what remains of two invariances.
+FINEST = {
+    f"L = 200, 4 levels, Re = {reynolds}": {**FOUR, "reynolds": float(reynolds), "num_beats": 10}
+    for reynolds in (500, 7142)
+}
+INVARIANT = {name: {**FOUR, **own} for name, own in {**ANGLES, **FRAMES}.items()}
 
 
 def list_jobs() -> Iterator[Job]:
     """Return each flow with levels and without."""
-    for length, num, reynolds in SWIMMERS:
-        for levels in (num, 1):
-            arguments = {"body_length": length, "levels": levels, "reynolds": reynolds}
-            yield Job(swim_refined, arguments, cost=1e4 * length**3 / 4**levels)
-    for levels in (2, 1):
-        yield Job(hold_cylinder, {"levels": levels}, cost=1e9 / levels)
+    for group in GROUPS:
+        for given in group.flows.values():
+            for levels in (given["levels"], 1):
+                yield Job(group.function, {**given, "levels": levels}, cost=1e9 / 4**levels)
+            for changes in VARIED if group.varied else ():
+                yield Job(group.function, {**given, **changes}, cost=1e8)
+    yield Job(feel_shifts, SHIFTS, cost=1e8)
+    for given in (*INVARIANT.values(), *FINEST.values()):
+        yield Job(swim, given, cost=1e10)
     yield Job(cross_uniform_flow, {"levels": 3}, cost=1e7)
+
+
+def compare(refined: Result, uniform: Result, quantity: str, num_fish: int) -> tuple[float, float]:
+    """Return the ratio farthest from 1 of all beats but the first, and that of their sums."""
+    values, others = refined[quantity], uniform[quantity]
+    if not isinstance(values, list):
+        return values / others, values / others
+    values, others = values[num_fish:], others[num_fish:]
+    ratios = (a / b for a, b in zip(values, others, strict=True))
+    return max(ratios, key=lambda ratio: abs(ratio - 1.0)), sum(values) / sum(others)
 
 
 def judge(runs: Runs) -> Iterator[Check]:
     """Compare with the finest grid everywhere."""
-    for length, levels, reynolds in SWIMMERS:
-        found = runs.by("levels", body_length=length, reynolds=reynolds)
-        refined, uniform = found[levels], found[1]
-        ratio = uniform["updates"] / refined["updates"]
-        at = f"L = {length}, Re = {reynolds:g}, {levels} levels"
-        for name, limit in (("speed", SPEED_LIMIT), ("power", POWER_LIMIT)):
-            pairs = list(zip(refined[name], uniform[name], strict=True))[1:]
-            largest = max((a / b for a, b in pairs), key=lambda r: abs(r - 1.0))
-            mean = sum(a for a, _ in pairs) / sum(b for _, b in pairs)
-            note = f"{ratio:.1f} times fewer node updates. " if name == "speed" else ""
+    for group in GROUPS:
+        pairs = group.read(runs)
+        for quantity, limit in group.limits.items():
+            found = {
+                name: compare(*pair, quantity, len(group.flows[name].get("headings", [0])))
+                for name, pair in pairs.items()
+            }
+            largest = {name: ratio for name, (ratio, _) in found.items()}
+            worst = max(largest, key=lambda name: abs(largest[name] - 1.0))
+            mean = 100.0 * (found[worst][1] - 1.0)
+            words = [group.explain(runs, quantity)] if abs(largest[worst] - 1.0) > limit else []
+            if group.function is swim and quantity != "turned":
+                words.append(f"All beats after the first together deviate by {mean:+.2f} %.")
             yield Check(
-                f"{name} / uniform, {at}",
-                largest,
+                f"{group.name}: {NAMES.get(quantity, quantity)} / uniform",
+                largest[worst],
                 1.0,
                 OWN,
                 limit,
-                resolution=f"L = {length}",
-                note=f"{note}Single beats scatter, the largest deviation is given; that of beats 2 "
-                f"to {NUM_BEATS} together is {100.0 * (mean - 1.0):+.2f} %.",
+                resolution=worst,
+                refinement=largest,
+                note=" ".join(words),
             )
-        yield Check(
-            f"change of mean density less uniform, {at}",
-            refined["mass"] - uniform["mass"],
-            0.0,
-            OWN,
-            MASS_LIMIT,
-            is_absolute=True,
-            note="At the edges of a patch mass is conserved only to the error of interpolation, "
-            "which vortices that leave make larger at the higher Reynolds number. After "
-            f"{NUM_BEATS} beats; on the uniform grid {uniform['mass']:.1e}.",
-        )
-    wakes = {
-        job.arguments["levels"]: r for job, r in runs.finished if job.function is hold_cylinder
-    }
-    for name, limit in WAKE_LIMITS.items():
-        yield Check(
-            f"cylinder: {WAKE_NAMES[name]} / uniform, Re = 100, 2 levels",
-            wakes[2][name] / wakes[1][name],
-            1.0,
-            OWN,
-            limit,
-            resolution="D = 20",
-            note=f"Uniform {wakes[1][name]:.4f}.",
-        )
-    crossing = next(r for job, r in runs.finished if job.function is cross_uniform_flow)
+        if group.is_closed:
+            yield _judge_mass(group.name, pairs)
+        if group.name == FREE:
+            yield _record_speeds(runs, pairs)
+    yield from _judge_rest(runs)
+
+
+def _judge_mass(group: str, pairs: Mapping[str, tuple[Result, Result]]) -> Check:
+    """Check the water that is lost or gained more than on the finest grid everywhere."""
+    changes = {name: one["mass"] - other["mass"] for name, (one, other) in pairs.items()}
+    worst = max(changes, key=lambda name: abs(changes[name]))
+    updates = (f"{b['updates'] / a['updates']:.1f}" for a, b in pairs.values())
+    return Check(
+        f"{group}: density gained less uniform",
+        changes[worst],
+        0.0,
+        OWN,
+        MASS_LIMIT,
+        is_absolute=True,
+        resolution=worst,
+        refinement=changes,
+        note="At the edges of a patch mass is conserved to the error of interpolation, which "
+        "vortices that leave raise. Levels update "
+        f"fewer nodes: {', '.join(dict.fromkeys(updates))} times.",
+    )
+
+
+def _record_speeds(runs: Runs, pairs: Mapping[str, tuple[Result, Result]]) -> Check:
+    """Record the last speed of free fish on every grid."""
+    speeds: dict[str, float] = {}
+    for name, (one, other) in pairs.items():
+        length, _, reynolds = name.split(", ")
+        speeds |= {name: one["speed"][-1], f"{length}, uniform, {reynolds}": other["speed"][-1]}
+    for name, given in FINEST.items():
+        speeds[name] = GROUPS[0].get(runs, given)["speed"][-1]
+    finest = next(reversed(speeds))
+    return Check(
+        f"{FREE}: speed in beat 10, L / T", speeds[finest], resolution=finest, refinement=speeds
+    )
+
+
+def _judge_rest(runs: Runs) -> Iterator[Check]:
+    """Check the force around shifts and uniform flow, and record two invariances."""
+    single = {job.function: result for job, result in runs.finished}
+    felt, crossing = single[feel_shifts], single[cross_uniform_flow]
+    yield Check(
+        "force on a fish: rms third difference near shifts / elsewhere",
+        felt["ratio"],
+        (0.0, NOISE_LIMIT),
+        OWN,
+        note=f"{felt['shifts']} shifts.",
+    )
     yield Check(
         "uniform flow: largest error of a population, 3 levels",
         crossing["error"],
@@ -181,23 +280,44 @@ def judge(runs: Runs) -> Iterator[Check]:
         ROUND_OFF,
         is_absolute=True,
     )
+    grids = {
+        "L = 100, uniform": {**FINE, "levels": 1},
+        "L = 100, 3 levels": FINE,
+        "L = 200, 4 levels": FOUR,
+    }
+    for name, own in {**ANGLES, **FRAMES}.items():
+        speeds = {
+            grid: [GROUPS[0].get(runs, {**given, **each}) for each in (own, ANGLES[REST])]
+            for grid, given in grids.items()
+        }
+        changes = {
+            grid: sum(one["speed"][2:]) / sum(other["speed"][2:]) - 1.0
+            for grid, (one, other) in speeds.items()
+        }
+        if name != REST:
+            yield Check(
+                f"fish, {name}: change of the speed over beats 3 and 4",
+                changes["L = 200, 4 levels"],
+                resolution="L = 200, 4 levels",
+                refinement=changes,
+            )
 
 
 def draw(figure: Figure, runs: Runs) -> None:
-    """Draw speed and power of each beat, relative to the uniform grid."""
+    """Draw speed and power of each beat, relative to the finest grid everywhere."""
     every = figure.subplots(1, 2)
+    groups = [group for group in GROUPS if group.name in (FREE, TURNS)]
+    chosen = {name: pair for group in groups for name, pair in group.read(runs).items()}
     for axes, name in zip(every, ("speed", "power"), strict=True):
-        for length, levels, reynolds in SWIMMERS:
-            found = runs.by("levels", body_length=length, reynolds=reynolds)
-            pairs = zip(found[levels][name], found[1][name], strict=True)
+        for label, (refined, uniform) in chosen.items():
+            pairs = zip(refined[name], uniform[name], strict=True)
             values = [100.0 * (a / b - 1.0) for a, b in pairs][1:]
-            label = f"L = {length}, {levels} levels, Re = {reynolds:g}"
-            axes.plot(range(2, NUM_BEATS + 1), values, "o-", markersize=3, label=label)
+            axes.plot(range(2, len(values) + 2), values, "o-", markersize=3, label=label)
         axes.axhline(0.0, color="0.7", linewidth=0.8, zorder=0)
         axes.set(xlabel="beat", ylabel=f"{name} against uniform, %")
     figure.legend(*every[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
 
 CASE = Case(
-    "levels", __doc__, "the finest grid everywhere", list(list_jobs()), judge, draw, size=(8.0, 3.4)
+    "levels", __doc__, "the finest grid everywhere", list(list_jobs()), judge, draw, size=(8.0, 3.6)
 )
