@@ -5,7 +5,7 @@ rounds, and ratios of the same round.
 
     python -m experiments.benchmark groups=[solver,env]      # some groups
     python -m experiments.benchmark groups=[steps] before=b  # presets' steps, and those of folder b
-    python -m experiments.benchmark docs=docs                # put the results into the page too
+    python -m experiments.benchmark docs=docs                # put the results into pages, too
 """
 
 import logging
@@ -20,7 +20,8 @@ from experiments.benchmarks import environment, flows, steps
 from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import BenchmarkSettings, Results, measure
 from experiments.benchmarks.plots import write_plots
-from experiments.benchmarks.report import render_results, write_page
+from experiments.benchmarks.report import render_results, write_pages
+from fishrl.programs.export_policy import read_revision
 from fishrl.programs.program import program
 from fishrl.settings import unknown
 
@@ -58,7 +59,8 @@ def _run(settings: BenchmarkSettings) -> Results:
     for group in set(settings.groups) - set(GROUPS):
         raise unknown(group, sorted(GROUPS))
     chosen = {"probe", *(settings.groups or GROUPS)}
-    results = Results(machine=describe_machine(), settings=asdict(settings))
+    machine = describe_machine() | {"commit": read_revision() or "unknown"}
+    results = Results(machine=machine, settings=asdict(settings))
     for group, make in GROUPS.items():
         if group in chosen:
             logger.info("preparing %s ...", group)
@@ -80,7 +82,7 @@ def main(settings: BenchmarkSettings) -> None:
     if settings.docs is not None:
         docs = Path(settings.docs)
         figures = write_plots(results, docs / "figures" / "benchmark")
-        write_page(results, figures, docs / "performance.md")
+        write_pages(results, figures, docs)
     print(f"\n{(time.perf_counter() - start) / 60.0:.1f} minutes; written to {folder}")
 
 

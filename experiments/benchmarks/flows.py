@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 from experiments.benchmarks import measuring
+from experiments.benchmarks.accuracy import read_errors
 from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings, repeat
 from fishrl.physics import Boundaries, InPlaceSolver, Scales
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
@@ -130,33 +131,45 @@ def make_swimmers(settings: BenchmarkSettings, *, has_fish: bool = True) -> list
     return cases
 
 
-#: Body lengths of the levels' benchmarks, over that of the large flow, and their levels.
-LEVELS = ((1.0, 1), (1.0, 3), (0.5, 1), (0.64, 1), (0.64, 2))
+#: Body lengths of the levels' benchmarks, over that of the large flow, their levels, and batches.
+LEVELS = (
+    *((0.32, 1, (1,)), (0.5, 1, (1,)), (0.64, 1, (1,)), (0.64, 2, (1,))),
+    *((1.0, 1, (1, 16)), (1.0, 3, (1, 16)), (2.0, 4, (1,))),
+)
 
 
-def make_levels(
-    settings: BenchmarkSettings, *, batches: Sequence[int] = (1, 16), **options: Any
-) -> list[Benchmark]:
-    """Return benchmarks of flows that are fine near the fish alone, and of uniform ones."""
-    cases = []
-    for scale, levels in LEVELS:
+def make_levels(settings: BenchmarkSettings, **options: Any) -> list[Benchmark]:
+    """Return benchmarks of flows that are fine near the fish alone, and of uniform ones.
+
+    All run in this process.
+    """
+    cases, errors = [], read_errors()
+    for scale, levels, batches in LEVELS:
         length = round(scale * settings.body_length)
         for num_envs in batches:
-            given = {"num_envs": num_envs, "num_workers": None} | options
+            given = {"num_envs": num_envs, "num_workers": None if num_envs == 1 else 0} | options
             solver = make_solver(length, has_fish=True, levels=levels, **given)
-            case = make_case(solver, f"levels/{num_envs}, {length}, {levels}", f"L = {length}")
+            case = make_case(solver, f"levels/{num_envs}, {length}, {levels}", "")
+            case.name = f"L = {length}" + (f", {num_envs} flows" if num_envs > 1 else "")
             case.scope = f"{levels} levels" if levels > 1 else "uniform"
             unit, period = 2**levels, 1.0 / float(solver.body.frequency[0])
             case.advance, case.facts["period"] = partial(advance_pairs, solver, unit), period / unit
+            case.facts["updates"] = solver.config.updates_per_step * period
+            case.facts["errors"] = errors.get((length, levels), {})
             if num_envs == 1 and levels > 1:
                 case.prepare = partial(clock_interface, case, solver, list_interface(solver))
             cases.append(case)
     return cases
 
 
-def advance_pairs(solver: InPlaceSolver, unit: int, num_pairs: int) -> None:
-    """Advance by pairs of steps of the coarsest level, each ``unit`` steps of the finest."""
+def advance_pairs(solver: InPlaceSolver, unit: int, num_pairs: int) -> dict[str, float]:
+    """Advance by pairs of steps of the coarsest level, each ``unit`` steps of the finest.
+
+    Returns the seconds of processor time of a pair, ``cpu``.
+    """
+    before = time.process_time()
     solver.advance_(unit * num_pairs)
+    return {"cpu": (time.process_time() - before) / num_pairs}
 
 
 def list_interface(solver: InPlaceSolver) -> list[Callable[[], object]]:
@@ -171,13 +184,16 @@ def list_interface(solver: InPlaceSolver) -> list[Callable[[], object]]:
 def clock_interface(
     case: Benchmark, solver: InPlaceSolver, calls: Sequence[Callable[[], object]]
 ) -> None:
-    """Measure the seconds of ``list_interface``, the least of a few, without changing the flow."""
+    """Measure the processor's seconds of ``list_interface``, the least of a few.
+
+    The flow does not change.
+    """
     before, spent = solver.state_dict(), []
     for _ in range(5):
-        start = time.perf_counter()
+        start = time.process_time()
         for call in calls:
             call()
-        spent.append(time.perf_counter() - start)
+        spent.append(time.process_time() - start)
     case.measured.setdefault("interface", []).append(min(spent))
     solver.load_state_dict(before)
 

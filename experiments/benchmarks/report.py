@@ -95,19 +95,19 @@ def _price(case: Benchmark, results: Results) -> str:
     return f"{seconds * case.facts['period'] / case.facts['flows']:.2f}"
 
 
-def _over_first(case: Benchmark, results: Results) -> str:
-    """Return the least time of a beat over that of the first flow of as many, a uniform one."""
-
-    def time_beat(each: Benchmark) -> float:
-        return float(min(each.measured["seconds"]) * each.facts["period"])
-
-    same = (c for c in results.of_group(case.group) if c.facts["flows"] == case.facts["flows"])
-    return f"{time_beat(case) / time_beat(next(same)):.3f}"
+def _time_beat(case: Benchmark) -> float:
+    """Return the least seconds of the processor for a beat of one flow."""
+    return float(min(case.measured["cpu"]) * case.facts["period"] / case.facts["flows"])
 
 
 def _share(case: Benchmark, results: Results) -> str | None:
     own = case.measured.get("interface")
-    return f"{100.0 * min(own) / min(case.measured['seconds']):.0f}" if own else None
+    return f"{100.0 * min(own) / min(case.measured['cpu']):.0f}" if own else None
+
+
+def _error(reynolds: int, case: Benchmark, results: Results) -> str | None:
+    error = case.facts["errors"].get(reynolds)
+    return None if error is None else f"{100.0 * error:+.1f}"
 
 
 def _sum_least(names: Sequence[str], case: Benchmark) -> float:
@@ -147,10 +147,10 @@ COLUMNS: dict[str, Cell] = {
     "step / before": partial(_over_before, ["seconds"]),
     "bodies / before": partial(_over_before, BODY_PARTS),
     "s / T": lambda case, _: f"{min(case.measured['seconds']) * case.facts['period']:.3f}",
-    "least s / T": lambda case, _: (
-        f"{min(case.measured['seconds']) * case.facts['period'] / case.facts['flows']:.3f}"
-    ),
-    "/ first": _over_first,
+    "CPU s / T": lambda case, _: f"{_time_beat(case):.3f}",
+    "Re = 500, %": partial(_error, 500),
+    "Re = 7142, %": partial(_error, 7142),
+    "updates / T": lambda case, _: f"{1e-6 * case.facts['updates']:.0f} M",
     "interface, %": _share,
     "decisions / s": lambda case, _: (
         f"{case.facts['flows'] / find_quartiles(case.measured['seconds']).median:.0f}"
@@ -162,6 +162,7 @@ MEMORY, PRICE = "memory, B / node", ("µs / step", "s / T and flow")
 OUTSIDE = ("case", "ms", "share outside the flow, %")
 STEPS = ("case", "what", "step, µs", "collision", *BODY_PARTS, "edges", "step / collision")
 RATIOS = ("step / before", "bodies / before", "s / T")
+ERRORS = ("Re = 500, %", "Re = 7142, %")
 #: Group, heading, line above the table, columns.
 TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("probe", "Memory bandwidth", "", SPEED),
@@ -169,9 +170,9 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("coupled", "A swimming fish in each flow", "T is a tail beat.", (*SPEED, MEMORY, *PRICE)),
     (
         "levels",
-        "Levels",
-        "Least times per beat T and flow; / first: over the first row with as many flows.",
-        ("case", "what", "least s / T", "/ first", "interface, %"),
+        "Grids",
+        "",
+        ("case", "what", *ERRORS, "updates / T", "CPU s / T", "interface, %"),
     ),
     ("gpu", "GPU", "", GPU_SPEED),
     ("env", "Environment", "Bursts of one action, which lasts a tail beat T.", OUTSIDE),
@@ -187,19 +188,22 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
 )
 
 
-#: Marks on the page, and the groups whose tables stand between them; goals summarise the others.
-PRESETS, MEASURED = "presets", "measured"
-PAGE = {PRESETS: ("steps", "levels", "decisions"), MEASURED: ("coupled", "gpu")}
+#: Marks, their page, and the groups whose tables stand between them; goals summarise the others.
+PRESETS, MEASURED, GRIDS = "presets", "measured", "grids"
+PAGES = {
+    PRESETS: ("performance.md", ("steps", "decisions")),
+    MEASURED: ("performance.md", ("coupled", "gpu")),
+    GRIDS: ("resolution.md", ("levels",)),
+}
 
 
 def render_results(results: Results, mark: str | None = None) -> str:
     """Return a description of the run, its goals and the tables of a mark, by default of all."""
     goals = write_table(("goal", "target", "measured", "result"), list_goals(results))
     tables = [f"### Goals\n\nRatios of the same round: median and quartiles.\n\n{goals}"]
-    if mark == PRESETS:
-        tables = []
+    tables = tables if mark in (None, MEASURED) else []
     for group, title, note, columns in TABLES:
-        if (mark is None or group in PAGE[mark]) and (cases := results.of_group(group)):
+        if (mark is None or group in PAGES[mark][1]) and (cases := results.of_group(group)):
             cells = [[COLUMNS[c](case, results) or "–" for c in columns] for case in cases]
             parts = [f"### {title}", note, write_table(columns, cells)]
             tables.append("\n\n".join(filter(None, parts)))
@@ -216,27 +220,26 @@ def describe_run(results: Results) -> str:
         f"{machine['instructions']}; {caches or 'caches unknown'}; "
         f"GPU: {machine['gpu'] or 'none'}; load at start {machine['load']}. "
         f"torch {machine['torch']}, Python {machine['python']}, {versions}. {settings['rounds']} "
-        f"rounds of bursts of {1e3 * settings['burst']:.0f} ms, single precision."
+        f"rounds of bursts of {1e3 * settings['burst']:.0f} ms, single precision; commit "
+        f"{machine.get('commit', 'unknown')[:8]}."
     )
 
 
-def write_page(results: Results, figures: dict[Path, str], page: Path) -> None:
-    """Replace the text between the marks of a page by tables and figures with captions.
+def write_pages(results: Results, figures: dict[Path, str], docs: Path) -> None:
+    """Replace the text between the marks of pages by tables and figures with captions.
 
     Marks whose groups were not measured keep theirs.
     """
-    pictures = [
-        f"![{caption}]({path.relative_to(page.parent)})" for path, caption in figures.items()
-    ]
-    text = page.read_text(encoding="utf-8")
-    for mark, groups in PAGE.items():
+    pictures = [f"![{caption}]({path.relative_to(docs)})" for path, caption in figures.items()]
+    for mark, (name, groups) in PAGES.items():
         if not any(map(results.of_group, groups)):
             continue
+        page = docs / name
+        text = page.read_text(encoding="utf-8")
         begin, end = (f"<!-- {mark}: {place} -->" for place in ("begin", "end"))
         before, found, rest = text.partition(begin)
         _, closed, after = rest.partition(end)
         if not (found and closed):
             raise ValueError(f"{page}: put one line {begin} and below it one line {end} into it")
         new = "\n\n".join([render_results(results, mark), *pictures * (mark == MEASURED)])
-        text = f"{before}{begin}\n{new}\n{end}{after}"
-    write_whole(page, text)
+        write_whole(page, f"{before}{begin}\n{new}\n{end}{after}")

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from experiments.benchmarks.accuracy import FOLDER, extrapolate, read_errors
 from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import (
     FISH,
@@ -22,9 +23,10 @@ from experiments.benchmarks.report import (
     list_goals,
     measure_speed,
     render_results,
-    write_page,
+    write_pages,
 )
 
+ROOT = Path(__file__).parents[3]
 NODES = 1_000_000
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 
@@ -79,6 +81,15 @@ def test_goals_are_met_missed_or_not_measured(results: Results) -> None:
     assert lines["share of an environment step outside the flow"] == ["≤ 2 %", "1.00 %", "met"]
 
 
+def test_errors_of_grids_come_from_stored_validation() -> None:
+    assert extrapolate(1.0, 1.5, 1.75) == pytest.approx(2.0)  # 1, 1/2 and 1/4 from the limit
+    errors = read_errors(ROOT / FOLDER)
+    for reynolds in (500, 7142):
+        coarse, middle, fine = (errors[length, 1][reynolds] for length in (32, 50, 100))
+        assert -0.3 < coarse < middle < fine < 0.0
+        assert errors[100, 3][reynolds] == pytest.approx(fine, abs=0.003)
+
+
 def test_figures_show_available_results(results: Results, tmp_path: Path) -> None:
     files = write_plots(results, tmp_path / "figures")
     assert [file.name for file in files] == ["roofline.png", "scaling.png"]
@@ -92,7 +103,7 @@ def test_page_changes_only_between_marks(results: Results, tmp_path: Path) -> No
     page.write_text(f"before\n\n{BEGIN}\nlast year\n{END}\n\nafter\n")
     figures = {tmp_path / "figures" / "roofline.png": "Bandwidth"}
     for _ in range(2):  # the second time replaces the first
-        write_page(results, figures, page)
+        write_pages(results, figures, tmp_path)
         text = page.read_text()
         assert text.startswith(f"before\n\n{BEGIN}\na machine, 2 cores")
         assert text.endswith(f"![Bandwidth](figures/roofline.png)\n{END}\n\nafter\n")
