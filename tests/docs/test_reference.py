@@ -2,6 +2,7 @@
 
 import importlib
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from fishrl.training import LearningSettings, RunSettings
 from fishrl.training.evaluation import FINAL_SEED, SELECTION_SEED
 from tests.docs.pages import DOCS
 
-PAGE = make_reference()
+read_page = cache(make_reference)
 SCHEMAS = {name: main.command_line.schema for name, main in find_programs().items()}
 
 
@@ -26,7 +27,7 @@ def test_every_field_has_row_with_meaning(kind: type) -> None:
         row = next(row for row in rows if row.startswith(f"| `{entry.name}` |"))
         cells = row.replace("\\|", "").strip("|").split("|")
         assert len(cells) in (4, 5) and all(cell.strip() for cell in cells), row
-        assert row in PAGE
+        assert row in read_page()
 
 
 def _list_rows(kind: type) -> list[str]:
@@ -51,7 +52,7 @@ def test_documented_seeds_match_training() -> None:
 
 def test_every_choice_is_listed() -> None:
     for group, names in TRAINING.list_choices().items():
-        assert f"| `{group}=` | " + ", ".join(f"`{name}`" for name in names) in PAGE
+        assert f"| `{group}=` | " + ", ".join(f"`{name}`" for name in names) in read_page()
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,12 @@ def _read_literals(path: Path) -> str:
     return "\n".join(lines)
 
 
-SOURCES = [_read_literals(p) for f in ("fishrl", "experiments") for p in (ROOT / f).rglob("*.py")]
+@cache
+def _read_sources() -> list[str]:
+    folders = (ROOT / name for name in ("fishrl", "experiments"))
+    return [_read_literals(path) for folder in folders for path in folder.rglob("*.py")]
+
+
 QUOTES = QUOTE.findall((DOCS / "troubleshooting.md").read_text(encoding="utf-8"))
 
 
@@ -36,6 +42,6 @@ def _list_fragments(quote: str) -> list[str]:
 def test_quoted_message_exists_in_code(quote: str) -> None:
     fragments = _list_fragments(quote)
     assert fragments
-    wrong = [f for f in fragments if not any(f in source for source in SOURCES)]
+    wrong = [f for f in fragments if not any(f in source for source in _read_sources())]
     assert not wrong, f"nothing in the code says {wrong}"
-    assert any(all(f in source for f in fragments) for source in SOURCES)
+    assert any(all(f in source for f in fragments) for source in _read_sources())

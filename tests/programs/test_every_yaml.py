@@ -19,6 +19,8 @@ from tests.experiments.gait.tasks import OVERRIDES
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
+CHOICES = TRAINING.list_choices()
+
 YAMLS = sorted(
     path.relative_to(CONF).as_posix()
     for group in TRAINING.groups
@@ -51,7 +53,7 @@ MORE = {
     [
         (group, name)
         for group in ("preset", "task")
-        for name in TRAINING.list_choices()[group]
+        for name in CHOICES[group]
         if not name.endswith("-quick-v0")  # made by tests/benchmark
     ],
 )

@@ -1,16 +1,17 @@
-"""Flows and transitions written for other tools are read back by those tools; uploads fail well."""
+"""Flows and transitions written for other tools are read back by those tools; uploads fail well.
+
+The tools are imported where they are used: every process of a run of tests imports this file.
+"""
 
 import csv
 import json
 import socket
 from pathlib import Path
+from typing import Any
 
-import minari
 import numpy as np
 import pytest
-import pyvista as pv
 import torch
-import xarray as xr
 from matplotlib.path import Path as Polygon
 from torchrl.data.datasets.minari_data import MinariExperienceReplay
 
@@ -29,12 +30,12 @@ TINY = [
 
 
 @pytest.fixture(scope="module")
-def flow() -> xr.Dataset:
+def flow() -> Any:
     given = vars(export.main.read([*TINY, "save=x.nc"]))
     return export.simulate(**{n: v for n, v in given.items() if n not in ("save", "preset")})
 
 
-def test_fields_are_in_body_lengths_and_periods(flow: xr.Dataset) -> None:
+def test_fields_are_in_body_lengths_and_periods(flow: Any) -> None:
     assert flow["time"].values == pytest.approx([0.0, 0.5, 1.0], abs=0.06)  # at a check
     assert flow["time"].values[-1] == pytest.approx(1.0, abs=1e-9)  # the end, whole periods later
     assert flow["vorticity"].dims == ("time", "y", "x")
@@ -46,7 +47,7 @@ def test_fields_are_in_body_lengths_and_periods(flow: xr.Dataset) -> None:
     assert 0.1 < beating < 2.0
 
 
-def test_fields_hold_no_number_inside_a_sharp_skin(flow: xr.Dataset) -> None:
+def test_fields_hold_no_number_inside_a_sharp_skin(flow: Any) -> None:
     """Nodes inside, found by another library: 0.08 L^2, 21 nodes; at first some lie on the skin."""
     x, y = np.meshgrid(flow["x"].values, flow["y"].values)
     nodes = np.stack((x.ravel(), y.ravel()), 1)
@@ -59,7 +60,9 @@ def test_fields_hold_no_number_inside_a_sharp_skin(flow: xr.Dataset) -> None:
 
 
 @pytest.mark.filterwarnings("error")  # of metadata that is not consolidated
-def test_xarray_reads_netcdf_and_zarr(flow: xr.Dataset, tmp_path: Path) -> None:
+def test_xarray_reads_netcdf_and_zarr(flow: Any, tmp_path: Path) -> None:
+    import xarray as xr
+
     write_netcdf(flow, tmp_path / "flow.nc")
     write_zarr(flow, tmp_path / "flow.zarr")
     with xr.open_dataset(tmp_path / "flow.nc", engine="h5netcdf", mask_and_scale=False) as raw:
@@ -100,7 +103,9 @@ def test_table_has_a_line_per_moment_and_columns_of_each_neuromast(tmp_path: Pat
     assert path.read_text() == "time_T\n0\n0.5\n"
 
 
-def test_vtk_reads_the_flow_and_the_bodies(flow: xr.Dataset, tmp_path: Path) -> None:
+def test_vtk_reads_the_flow_and_the_bodies(flow: Any, tmp_path: Path) -> None:
+    import pyvista as pv
+
     path = tmp_path / """R&D "é" <x='1'>.pvd"""
     write_vtk(flow, path)
     reader = pv.get_reader(path)
@@ -115,6 +120,8 @@ def test_vtk_reads_the_flow_and_the_bodies(flow: xr.Dataset, tmp_path: Path) -> 
 
 @pytest.mark.usefixtures("kinematic")
 def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import minari
+
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     tiny = [words for words in TINY if not words.startswith(("periods", "frames_per_T"))]
     settings = export_data.main.read(

@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 
 import pytest
-import wandb
 
 from fishrl.training import complete
 from fishrl.training.logger import CsvLogger, WandbLogger
@@ -102,6 +101,8 @@ def test_wandb_respects_mode_and_reports_missing_key(
 
 
 def open_and_close(folder: Path, *, is_offline: bool = True) -> None:
+    import wandb
+
     wandb.teardown()  # as in a new process, which reads the variables
     logger = WandbLogger(is_offline=is_offline)
     logger.open(folder, columns=["frames"], config={})

@@ -17,7 +17,6 @@ import pytest
 import torch
 from torch._functorch import config as functorch_config
 from torch._inductor import config as inductor_config
-from torch._inductor.graph import GraphLowering
 
 from fishrl.physics import Fish, FlowConfig, InPlaceSolver
 from fishrl.physics.boundaries import Boundaries
@@ -45,7 +44,8 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.compile
 def test_bulk_pass_is_one_loop_of_nine_loads_and_stores(monkeypatch: pytest.MonkeyPatch) -> None:
     written: list[str] = []
-    monkeypatch.setattr(GraphLowering, "save_output_code", written.append)
+    lowering = "torch._inductor.graph.GraphLowering"
+    monkeypatch.setattr(f"{lowering}.save_output_code", written.append)
     solver = make_solver(make_tank(**CHANGES["pinned outflow"]), slice(1))
     with inductor_config.patch(force_disable_caches=True):
         part, (even, _) = solver.list_calls()[0]
