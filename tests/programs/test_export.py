@@ -118,6 +118,25 @@ def test_vtk_reads_the_flow_and_the_bodies(flow: Any, tmp_path: Path) -> None:
     assert np.allclose(fish.points[:, :2], last["outline_0"].values, atol=1e-6)
 
 
+def test_exports_hold_the_outlines_of_finer_grids(tmp_path: Path) -> None:
+    words = [*TINY, "save=x.nc", "periods=0.2", "task.levels=2", "task.checks_per_action=5"]
+    words += [
+        "task.domain_bl=[6.0,5.0]",
+        "task.food_limits_bl=[1.0,4.0]",
+        "task.start_y_bl=[2.2,2.8]",
+    ]
+    given = vars(export.main.read(words))
+    flow = export.simulate(**{n: v for n, v in given.items() if n not in ("save", "preset")})
+    last, path = flow.isel(time=-1), tmp_path / "flow.pvd"
+    (low, _, high, _), outline = last["patch_1"].values, last["outline_0"].values
+    assert (outline > low).all() and (outline < high).all()
+    assert flow["patch_1"].dims == ("time", "corner", "component")
+    assert np.isnan(last["vorticity"].values).any()
+    write_vtk(flow, path)
+    _, fish, patch = pv.get_reader(path).read()
+    assert patch.n_lines == 1 and fish.n_cells == 1 and fish.n_lines == 0
+
+
 @pytest.mark.usefixtures("kinematic")
 def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import minari
