@@ -119,6 +119,8 @@ def test_vtk_reads_the_flow_and_the_bodies(flow: Any, tmp_path: Path) -> None:
 
 
 def test_exports_hold_the_outlines_of_finer_grids(tmp_path: Path) -> None:
+    import pyvista as pv
+
     words = [*TINY, "save=x.nc", "periods=0.2", "task.levels=2", "task.checks_per_action=5"]
     words += [
         "task.domain_bl=[6.0,5.0]",
