@@ -1,4 +1,6 @@
-"""Other codes to compare with: lbmpy, numba, lettuce and XLB, each a periodic flow.
+"""Compare fishrl's step with lbmpy, numba, lettuce and XLB, each a periodic flow.
+
+    python studies/peers/peers.py threads=1 body_length=100
 
 Those that are not installed are skipped and listed. lbmpy and numba run this project's collision
 with its rates and precision; lettuce and XLB run BGK, their fastest.
@@ -13,18 +15,21 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from experiments.benchmarks.flows import make_case, make_kernel_case, make_solver
 from experiments.benchmarks.measuring import (
     KERNEL,
     PERIODIC,
+    Benchmark,
     BenchmarkSettings,
-    Case,
-    make_flow_case,
+    measure,
     repeat,
 )
-from experiments.benchmarks.numba_kernel import make_kernels
-from experiments.benchmarks.shear_wave import Field, ShearWave, make_wave
+from fishrl.physics.cases import PERIODIC as PERIODIC_EDGES
 from fishrl.physics.collision import Rates
 from fishrl.physics.lattice import CX, W
+from fishrl.programs.program import program
+from numba_kernel import make_kernels
+from shear_wave import Field, ShearWave, make_wave
 
 
 class Peer(NamedTuple):
@@ -36,7 +41,14 @@ class Peer(NamedTuple):
     kernel: Callable[[int], object] | None = None
 
 
-def make_cases(peer: Peer, wave: ShearWave, label: str, how: str) -> list[Case]:
+def make_flow_case(label: str, shape: tuple[int, int, int], how: str, **given: Any) -> Benchmark:
+    """Return the benchmark of a step of flows of a shape."""
+    num_flows, width, height = shape
+    name = f"{num_flows} × {width} × {height}, {how}"
+    return Benchmark(label=label, name=name, num_nodes=num_flows * width * height, **given)
+
+
+def make_cases(peer: Peer, wave: ShearWave, label: str, how: str) -> list[Benchmark]:
     """Check a flow that has started from the wave; return its kernel, if known, and its step."""
     wave.check(peer.advance, peer.velocity)
     shape, size = (1, wave.width, wave.height), {"working_set": peer.num_bytes}
@@ -47,7 +59,7 @@ def make_cases(peer: Peer, wave: ShearWave, label: str, how: str) -> list[Case]:
     return [make_flow_case(name, shape, how, scope=KERNEL, advance=peer.kernel, **size), step]
 
 
-def make_lbmpy(settings: BenchmarkSettings) -> list[Case]:
+def make_lbmpy(settings: BenchmarkSettings) -> list[Benchmark]:
     """Make every pattern for one large flow, and the fastest for a batch of half its size."""
     wave, cases, num_flows = make_wave(settings), [], 16
     for pattern, words in (
@@ -166,7 +178,7 @@ def make_kernel_config(*, has_threads: bool) -> Any:
     return config
 
 
-def make_numba(settings: BenchmarkSettings) -> list[Case]:
+def make_numba(settings: BenchmarkSettings) -> list[Benchmark]:
     """Make the pulling collision in two buffers of padded rows: the kernel and the whole step."""
     import numba
 
@@ -197,7 +209,7 @@ def make_numba(settings: BenchmarkSettings) -> list[Case]:
     return make_cases(peer, wave, "numba/step", f"two buffers, {settings.cores}")
 
 
-def make_lettuce(settings: BenchmarkSettings) -> list[Case]:
+def make_lettuce(settings: BenchmarkSettings) -> list[Benchmark]:
     """Make lettuce's own time step in torch, eager and compiled."""
     wave, cases = make_wave(settings, num_steps=20), []
     for name in ("eager", "compiled"):
@@ -228,7 +240,7 @@ def make_lettuce_flow(wave: ShearWave, *, is_compiled: bool) -> Peer:
     return Peer(advance, lambda: flow.u()[0].T.double().numpy(), 2 * flow.f.nbytes)
 
 
-def make_xlb(settings: BenchmarkSettings) -> list[Case]:
+def make_xlb(settings: BenchmarkSettings) -> list[Benchmark]:
     """Make XLB's own time step by its Warp backend, which runs on one core of a CPU."""
     import warp
     import xlb
@@ -263,3 +275,48 @@ def make_xlb(settings: BenchmarkSettings) -> list[Case]:
 
     peer = Peer(repeat(step), read, 2 * int(fields[0].capacity))
     return make_cases(peer, wave, "xlb/warp", "Warp, one core")
+
+
+def make_ours(settings: BenchmarkSettings) -> list[Benchmark]:
+    """Return the pass over all nodes, a step with walls, and one with a fish of the default skin."""
+    size, cores = settings.body_length, settings.cores
+    periodic = make_solver(size, has_fish=False, boundaries=PERIODIC_EDGES)
+    walls, fish = (make_solver(size, has_fish=has_fish) for has_fish in (False, True))
+    return [
+        make_kernel_case(periodic, "fishrl/kernel", cores),
+        make_case(walls, "fishrl/walls", cores),
+        make_case(fish, "fishrl/fish", cores),
+    ]
+
+
+@program()
+def main(settings: BenchmarkSettings) -> None:
+    """Measure all codes in turn; print speeds, and the ratios of fishrl's of the same rounds."""
+    torch.set_num_threads(settings.threads)
+    ours, others = make_ours(settings), []
+    for make in (make_lbmpy, make_numba, make_lettuce, make_xlb):
+        try:
+            others += make(settings)
+        except ImportError as error:
+            print(f"skipped: {error}")
+    measure([*ours, *others], settings)
+    print("| case | what | MLUPS | " + " | ".join(f"{own.label} / it" for own in ours) + " |")
+    for case in [*ours, *others]:
+        speeds = find_speeds(case)
+        cells = [show(speeds, 0), *(show(find_speeds(own) / speeds, 2) for own in ours)]
+        print(f"| {case.label}, {case.name} | {case.scope} | {' | '.join(cells)} |")
+
+
+def find_speeds(case: Benchmark) -> Any:
+    """Return million node updates per second, by round."""
+    return case.num_nodes / np.array(case.measured["seconds"]) / 1e6
+
+
+def show(values: Any, digits: int) -> str:
+    """Return median and quartiles."""
+    low, middle, high = np.percentile(values, (25, 50, 75))
+    return f"{middle:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+if __name__ == "__main__":
+    main()
