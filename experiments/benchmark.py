@@ -21,6 +21,7 @@ from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import BenchmarkSettings, Results, measure
 from experiments.benchmarks.plots import write_plots
 from experiments.benchmarks.report import render_results, write_pages
+from fishrl.files import claim
 from fishrl.programs.export_policy import read_revision
 from fishrl.programs.program import program
 from fishrl.settings import unknown
@@ -75,14 +76,15 @@ def _run(settings: BenchmarkSettings) -> Results:
 def main(settings: BenchmarkSettings) -> None:
     """Measure, print tables, and write JSON, figures and perhaps the page."""
     folder, start = Path(settings.folder), time.perf_counter()
-    results = run(settings)
-    results.save(folder / "results.json")
-    write_plots(results, folder)
-    print(render_results(results))
-    if settings.docs is not None:
-        docs = Path(settings.docs)
-        figures = write_plots(results, docs / "figures" / "benchmark")
-        write_pages(results, figures, docs)
+    with claim(folder / "results.json") as path:
+        results = run(settings)
+        results.save(path)
+        write_plots(results, folder)
+        print(render_results(results))
+        if settings.docs is not None:
+            docs = Path(settings.docs)
+            figures = write_plots(results, docs / "figures" / "benchmark")
+            write_pages(results, figures, docs)
     print(f"\n{(time.perf_counter() - start) / 60.0:.1f} minutes; written to {folder}")
 
 

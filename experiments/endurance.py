@@ -1,10 +1,12 @@
 """Watch memory and open files of a long training: ``python -m experiments.endurance``.
 
 Trains with the settings of ``fishrl train``. Every ``eval_frames``, after an evaluation and a
-checkpoint, it films an episode and notes the resident memory and the open files of the process and
-its children in ``endurance.json``. It fails if they grow.
+checkpoint, it films an episode and notes memory and open files of the process and its children in
+``endurance.json``: what each holds alone (what they share would count several times), once cycles
+of unused objects are collected. It fails if they grow.
 """
 
+import gc
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -52,12 +54,13 @@ class Watch(Callback):
                 baselines={},
                 on_episodes=lambda num: None,
             )
+        gc.collect()
         own = psutil.Process()
         processes = [own, *own.children(recursive=True)]
         self.notes.append(
             {
                 "frames": frames,
-                "memory_mb": round(sum(one.memory_info().rss for one in processes) / 1e6, 1),
+                "memory_mb": round(sum(one.memory_full_info().uss for one in processes) / 1e6, 1),
                 "processes": len(processes),
                 "open_files": sum(one.num_fds() for one in processes),
                 "wall_seconds": round(training.counters.wall_seconds),

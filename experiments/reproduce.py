@@ -193,7 +193,7 @@ class Record:
 def alone(folder: Path) -> Iterator[int]:
     """Hold a folder until the block and all processes started in it have ended; yield the lock."""
     with (folder / "lock").open("a") as file:
-        take_lock(file, waits=True, is_passed_on=True)
+        take_lock(file, waits=True)
         yield file.fileno()
 
 

@@ -17,7 +17,7 @@ from experiments.gait.diagnostics import combine_seeds, diagnose, trace_work
 from experiments.gait.free_stream import hold_in_free_stream
 from experiments.gait.tables import write_free_stream, write_results
 from fishrl.envs import Flows, KarmanGait, Recognition
-from fishrl.files import write_whole
+from fishrl.files import claim, write_whole
 from fishrl.programs.program import program
 from fishrl.settings import Settings
 from fishrl.training.callback import SILENT, Callback
@@ -133,7 +133,8 @@ def main(settings: TransferSettings) -> None:
             raise ValueError("task, preset: the runs bring their own; leave them out")
         task = banked[0] if banked else settings.task
         tried += [trials.make_trial(name, task, periods=periods) for name in settings.baselines]
-        transfer(tried, settings, progress)
+        with claim(Path(settings.folder) / "transfer.md"):
+            transfer(tried, settings, progress)
     print((Path(settings.folder) / "transfer.md").read_text(encoding="utf-8"))
     print(f"written to {settings.folder}")
 

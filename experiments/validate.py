@@ -16,6 +16,7 @@ from pydantic import PositiveInt
 from experiments.validation.case import MISSED, Case
 from experiments.validation.report import list_rows, render_checks, summarise, write_report
 from experiments.validation.runner import run_cases
+from fishrl.files import claim
 from fishrl.limits import count_cores
 from fishrl.programs.export_policy import read_revision
 from fishrl.programs.program import program
@@ -66,18 +67,19 @@ class ValidateSettings(Settings):
 def main(settings: ValidateSettings) -> None:
     """Run, check and report the cases."""
     folder = Path(settings.folder)
-    outcomes = run_cases(
-        [case for case in CASES if case.name in settings.cases or not settings.cases],
-        folder=folder,
-        quick=settings.quick,
-        num_workers=settings.jobs,
-        is_fresh=settings.fresh,
-    )
     is_full = not settings.quick and not settings.cases
     docs = Path(settings.docs) if is_full else folder
-    command = "make validate" if is_full else "python -m experiments.validate"
-    commit = (read_revision() or "unknown")[:8]
-    write_report(outcomes, folder=docs, command=command, commit=commit)
+    with claim(docs / "validation.md"):
+        outcomes = run_cases(
+            [case for case in CASES if case.name in settings.cases or not settings.cases],
+            folder=folder,
+            quick=settings.quick,
+            num_workers=settings.jobs,
+            is_fresh=settings.fresh,
+        )
+        command = "make validate" if is_full else "python -m experiments.validate"
+        commit = (read_revision() or "unknown")[:8]
+        write_report(outcomes, folder=docs, command=command, commit=commit)
     rows = list_rows(check for outcome in outcomes for check in outcome.checks)
     print(f"{render_checks(outcomes)}\n{summarise(rows)} Written to {docs / 'validation.md'}")
     if any(row["verdict"] == MISSED for row in rows):

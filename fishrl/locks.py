@@ -1,7 +1,9 @@
 """Locks of files, which end with the process that holds them."""
 
 import logging
+import os
 from typing import IO, Any
+from weakref import WeakSet
 
 try:
     import fcntl
@@ -9,32 +11,46 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 logger = logging.getLogger(__name__)
+_taken: WeakSet[IO[Any]] = WeakSet()
 
 
-def take_lock(file: IO[Any], *, waits: bool = False, is_passed_on: bool = False) -> bool:
-    """Lock an open file until it is closed or this process ends; False if another one holds it.
+def take_lock(file: IO[Any], *, waits: bool = False) -> bool:
+    """Lock an open file until it is closed or this process ends; False if it is locked already.
 
-    A file that is open for reading gets a lock that others may share. Where there are no locks, on
-    a file system or on Windows, it counts as locked, and that is logged.
+    The lock belongs to the open file: a process excludes itself, too, and children that are given
+    the file hold the lock with it. A file that is open for reading gets a lock that others may
+    share. Where there are no locks, on a file system or on Windows, it counts as locked, and that
+    is logged.
 
     Args:
         file: the file.
         waits: wait until it is free.
-        is_passed_on: child processes that get the open file hold the lock too, and threads of this
-            process exclude each other.
     """
     try:
         if fcntl is None:
             raise OSError("this system has no fcntl")
         how = fcntl.LOCK_EX if file.writable() else fcntl.LOCK_SH
-        take = fcntl.flock if is_passed_on else fcntl.lockf
         try:
-            take(file, how | fcntl.LOCK_NB)
-        except (BlockingIOError, PermissionError):
+            fcntl.flock(file, how | fcntl.LOCK_NB)
+        except BlockingIOError:
             if not waits:
                 return False
             logger.info("waiting for another process, which holds %s", file.name)
-            take(file, how)
+            fcntl.flock(file, how)
     except OSError as error:
         logger.info("%s cannot be locked (%s): start nothing twice", file.name, error)
+    _taken.add(file)
     return True
+
+
+def _let_go() -> None:
+    """Leave the locks to the process that this one was forked from."""
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for file in _taken:
+        if not file.closed:
+            os.dup2(nothing, file.fileno(), inheritable=False)
+    os.close(nothing)
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_let_go)

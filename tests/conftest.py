@@ -35,6 +35,15 @@ def launched_one_by_one() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def same_draws() -> Iterator[None]:
+    """Let environments that get no seed take 0, so that tests repeat."""
+    with pytest.MonkeyPatch.context() as patch:
+        if making := sys.modules.get("fishrl.envs.making"):  # tests of physics have none
+            patch.setattr(making, "randbits", lambda _: 0)
+        yield
+
+
 @pytest.fixture(autouse=True)
 def one_thread() -> Iterator[None]:
     """Run torch on one thread, which is fastest for small tensors."""

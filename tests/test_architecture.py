@@ -32,7 +32,10 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/pages.py", {"fishrl.files"}),
     ("fishrl/presets/", {"yaml", "fishrl.settings", "fishrl.presets"}),
     ("fishrl/extras.py", {"packaging"}),
-    (("fishrl/files.py", "fishrl/memory.py", "fishrl/torch_state.py"), {"torch", "fishrl.limits"}),
+    (
+        ("fishrl/files.py", "fishrl/memory.py", "fishrl/torch_state.py"),
+        {"torch", "fishrl.limits", "fishrl.locks"},
+    ),
     # bodies know nothing of flows
     ("fishrl/physics/bodies/", TENSORS | {"fishrl.physics.bodies", "fishrl.physics.lattice"}),
     ("fishrl/physics/", TENSORS | {"fishrl.physics"}),

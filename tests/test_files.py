@@ -1,13 +1,16 @@
 """Files of tensors are read only as they were written."""
 
+import os
 import random
+import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from fishrl.files import load_tensors, staged
+from fishrl.files import claim, load_tensors, staged
+from fishrl.locks import take_lock
 
 WEIGHTS = {"weight": torch.ones(2, 3)}
 
@@ -45,3 +48,29 @@ def test_failed_write_keeps_the_previous_file(tmp_path: Path) -> None:
         stage.parent.joinpath("other").write_text("a")  # not the file itself
     assert (tmp_path / "a").read_text() == "before"
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_claimed_file_is_refused_until_it_is_given_up(tmp_path: Path) -> None:
+    file = tmp_path / "new" / "row.json"
+    for _ in range(2):
+        with claim(file), pytest.raises(ValueError, match="is being written already; wait"):
+            claim(file).__enter__()
+        assert not list(file.parent.iterdir())
+    (tmp_path / "row").write_text("a file")
+    with pytest.raises(OSError, match=r"row/x: cannot be written .*; choose another folder"):
+        claim(tmp_path / "row" / "x").__enter__()
+
+
+def test_forked_process_holds_no_lock(tmp_path: Path) -> None:
+    file, other = ((tmp_path / "lock").open("a") for _ in range(2))
+    with file, other:
+        assert take_lock(file) and not take_lock(other)
+        child = os.fork()
+        if child == 0:
+            signal.pause()
+        try:
+            file.close()
+            assert take_lock(other, waits=True)
+        finally:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)

@@ -43,7 +43,7 @@ def make_overhead(
     """Return benchmarks of an action, which measure its share of time outside the flow."""
     task = task or make_task(settings)
     middle = task.starts_from(torch.full((1, task.num_draws), 0.5, dtype=torch.float64))
-    env = make_env(task=task, flows=flows, starts=middle)
+    env = make_env(task=task, flows=flows, seed=0, starts=middle)
     policy: Any = make_actor(
         num_inputs=task.num_stacked * task.n_obs,
         num_actions=task.num_actions,
@@ -89,7 +89,7 @@ def make_training(
     """Return benchmarks of a gradient step, and of a frame with its gradient steps."""
     task, learning = task or make_task(settings), learning or LearningSettings(flows=FLOWS)
     learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), learning)
-    env = make_env(task=task, flows=learning.flows)
+    env = make_env(task=task, flows=learning.flows, seed=0)
     batches = iter(
         ResumableCollector(
             env, learner.explorer, frames_per_batch=learning.flows.num_envs, total_frames=-1,

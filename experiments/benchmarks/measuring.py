@@ -100,7 +100,6 @@ class Results:
     def save(self, path: Path) -> None:
         """Write the results as JSON."""
         cases = [vars(case) | {"advance": None, "prepare": None} for case in self.cases]
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, json.dumps(vars(self) | {"cases": cases}, indent=1))
 
 

@@ -213,6 +213,7 @@ def record(
     env = make_env(
         task=task,
         flows=replace(flows, num_envs=len(starts)),
+        seed=0,
         frames_per_action=FRAMES,
         recognition=trial.recognition,
     )

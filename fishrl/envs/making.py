@@ -1,6 +1,7 @@
 """Construction of an environment with the transforms that policies need."""
 
 from collections.abc import Callable, Sequence
+from secrets import randbits
 from typing import Any
 
 from tensordict import TensorDictBase
@@ -64,7 +65,7 @@ def make_env(
     *,
     task: AbstractTask | str,
     flows: Flows,
-    seed: int = 0,
+    seed: int | None = None,
     starts: TensorDictBase | None = None,
     frames_per_action: int = 1,
     on_frame: Callable[[FlowEnv], None] | None = None,
@@ -78,6 +79,9 @@ def make_env(
     ``critic_senses`` a ``critic_stack`` of these. Episodes are truncated after ``task.time_limit``
     decisions. Random discrete actions respect the action mask; continuous actions have none. With
     several fish per flow, stacks, masks and ``episode_reward`` are per fish, under ``agents``.
+
+    Without ``seed`` it draws its own, ``env.base_env.seed``, so that several environments differ;
+    ``env.set_seed`` repeats episodes.
 
     ``task`` may be a name, see ``make_task``. ``recognition`` is the source of flow labels, such as
     ``Oracle()``. Further ``transforms`` are inserted before the frame stack and may lengthen
@@ -110,7 +114,7 @@ def make_env(
         FlowEnv(
             task=task,
             flows=flows,
-            seed=seed,
+            seed=randbits(32) if seed is None else seed,
             starts=starts,
             frames_per_action=frames_per_action,
             on_frame=on_frame,

@@ -99,7 +99,7 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path) -> WakeBank:
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.with_suffix(".lock").open("a") as file:
-            take_lock(file, waits=True, is_passed_on=True)
+            take_lock(file, waits=True)
             if not path.is_file():  # else another process or thread has just developed them
                 num = len(recipe.speeds)
                 logger.info("developing %d wake(s), once, for a few minutes: %s", num, path)

@@ -3,9 +3,9 @@
 ``policy=random|pursuit|intercept`` evaluates a baseline instead.
 """
 
-from pathlib import Path
 from typing import Any
 
+from fishrl.files import claim_file
 from fishrl.programs.live import LiveView
 from fishrl.programs.program import take
 from fishrl.programs.statistics import find_share, show
@@ -14,7 +14,7 @@ from fishrl.settings import to_plain
 from fishrl.training import evaluate
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
-from fishrl.viewer import ViewerSettings, check_folder
+from fishrl.viewer import ViewerSettings
 
 
 @policy_program(ViewerSettings)
@@ -27,19 +27,17 @@ def main(*, preset: str | None = None, save: str | None = None, **given: Any) ->
         **given: arguments of ``evaluate`` and ``ViewerSettings``.
     """
     settings = to_plain({"preset": preset, "save": save, **given})
-    path = None if save is None else Path(save).expanduser()
-    if path is not None:
-        check_folder(path)
     policy, view = given["policy"], take(ViewerSettings, given)
     live = LiveView(view, num_flows=min(given["flows"].num_envs, given["episodes"]))
-    with Progress() as progress:
-        result = evaluate(**given, callbacks=[progress, live])
     about = {"policy": policy, "task": type(given["task"]).__name__, "preset": preset}
-    result = {**about, "seed": given["seed"], **result}
+    with claim_file(save) as path:
+        with Progress() as progress:
+            found = evaluate(**given, callbacks=[progress, live])
+        result = {**about, "seed": given["seed"], **found}
+        if path is not None:
+            write_json(path, result | {"settings": settings})
     for name, value in result.items():
         shown = show(value, ".3f") if isinstance(value, float) else value
         if name == "success_rate":
             shown = find_share(round(value * result["episodes"]), result["episodes"]).show(".3f")
         print(f"{name:<24}{shown}")
-    if path is not None:
-        write_json(path, result | {"settings": settings})

@@ -11,6 +11,7 @@ import json
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
+from importlib.util import find_spec
 from itertools import count, pairwise
 from math import floor
 from pathlib import Path
@@ -24,6 +25,7 @@ from fishrl import __version__
 from fishrl.envs import AbstractTask, FlowEnv
 from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.extras import show_install
+from fishrl.files import claim_file
 from fishrl.programs.export_policy import read_revision
 from fishrl.programs.program import ending_in
 from fishrl.programs.stored_task import policy_program
@@ -32,7 +34,6 @@ from fishrl.training.callback import SILENT, Callback
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.policies import prepare
 from fishrl.training.progress import Progress
-from fishrl.viewer import check_folder
 from fishrl.viewer.fields import WRITERS, make_dataset, read_fields
 from fishrl.viewer.signals import read_signals, write_table
 
@@ -41,6 +42,12 @@ if TYPE_CHECKING:
 
 
 TABLE = ".csv"
+#: What is imported to write a file, by its ending.
+PACKAGES = {
+    ".nc": ("xarray", "h5netcdf"),
+    ".zarr": ("xarray", "zarr"),
+    ".pvd": ("xarray", "pyvista"),
+}
 
 
 def record(
@@ -133,21 +140,18 @@ def main(
         preset: name of a preset; only its task is used.
         **given: arguments of ``evaluate``.
     """
-    path = Path(save).expanduser()
-    check_folder(path)
     given |= {"periods": periods, "frames_per_T": frames_per_T}
-    if path.suffix == TABLE:
-        with Progress() as progress:
+    path = Path(save).expanduser()
+    missing = [name for name in PACKAGES.get(path.suffix, ()) if find_spec(name) is None]
+    if missing:
+        raise ImportError(f"{save} needs {', '.join(missing)}: {show_install('export')}")
+    with claim_file(path), Progress() as progress:
+        if path.suffix == TABLE:
             columns, _ = record(read_signals, callback=progress, **given)
-        write_table(columns, path)
-        print(f"written to {path}: {len(columns)} columns")
-        return
-    try:
-        import pyvista  # noqa: F401
-        import xarray  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"exports need packages: {show_install('export')}") from error
-    with Progress() as progress:
-        flow = simulate(callback=progress, **given)
-    WRITERS[path.suffix](flow, path)
-    print(f"written to {path}: {flow.sizes['time']} moments, {flow.nbytes / 1e6:.0f} MB in memory")
+            write_table(columns, path)
+            said = f"{len(columns)} columns"
+        else:
+            flow = simulate(callback=progress, **given)
+            WRITERS[path.suffix](flow, path)
+            said = f"{flow.sizes['time']} moments, {flow.nbytes / 1e6:.0f} MB in memory"
+    print(f"written to {path}: {said}")

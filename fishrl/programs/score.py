@@ -35,6 +35,7 @@ from fishrl.benchmark import (
 )
 from fishrl.envs import AbstractTask, Flows
 from fishrl.envs.episodes import Episodes, Policy, run_episodes
+from fishrl.files import claim_file
 from fishrl.programs.export_policy import read_revision
 from fishrl.programs.program import program
 from fishrl.programs.statistics import Interval, find_mean, find_share
@@ -43,7 +44,6 @@ from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.policies import is_learned, load_plan, prepare
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
-from fishrl.viewer import check_folder
 from fishrl.wrappers.archives import load_archive
 
 FUNCTION = re.compile(r"[\w.]+:\w+")
@@ -200,11 +200,11 @@ def main(*, save: str | None = None, **given: Any) -> None:
         save: JSON file for the row.
         **given: arguments of ``score``.
     """
-    path = None if save is None else Path(save).expanduser()
-    if path is not None:
-        check_folder(path)
-    with Progress() as progress:
-        row = score(**given, callback=progress)
+    with claim_file(save) as path:
+        with Progress() as progress:
+            row = score(**given, callback=progress)
+        if path is not None:
+            write_json(path, row.model_dump())
     others = [each for each in list_rows(row.task, row.split) if each.policy != row.policy]
     rows = [*others, row]
     print(f"{row.task}, {row.split}: {row.measure}, {row.metrics['episodes']} starts")
@@ -216,5 +216,4 @@ def main(*, save: str | None = None, **given: Any) -> None:
         )
     print(f"{row.scored_decisions:,} decisions, {row.cpu_seconds:g} s of CPU")
     if path is not None:
-        write_json(path, row.model_dump())
         print(f"written to {path}")

@@ -7,14 +7,14 @@ and probability of improvement, each run next to its baselines, and runs to repe
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fishrl.files import write_whole
+from fishrl.files import claim, write_whole
 from fishrl.pages import write_csv, write_table
 from fishrl.programs.figures.learning_curve import RATE, Curve, draw_curves, read_metrics
 from fishrl.programs.program import program
@@ -59,6 +59,11 @@ def summarize(folder: Path, *, paths: Sequence[Path] | None = None) -> str:
     ``paths`` are the runs; by default all in the folder.
     """
     found = read_runs(folder) if paths is None else map(read_run, paths)
+    with claim(folder / "summary.md"):
+        return _summarize(folder, found)
+
+
+def _summarize(folder: Path, found: Iterable[Run]) -> str:
     runs = [add_curve_mean(run) for run in found]
     groups = group_runs(runs)
     if not groups:

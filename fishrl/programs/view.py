@@ -15,6 +15,7 @@ from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from fishrl.envs.episodes import count_decisions
 from fishrl.envs.scene import Frame
+from fishrl.files import claim_file
 from fishrl.programs.program import ending_in, take
 from fishrl.programs.stored_task import policy_program
 from fishrl.training.callback import Callback
@@ -25,7 +26,6 @@ from fishrl.viewer import (
     Recording,
     Server,
     ViewerSettings,
-    check_folder,
     find_recording,
     has_screen,
     make_env_scene,
@@ -55,7 +55,6 @@ def record(
     Returns:
         How each episode ended that was not cut.
     """
-    check_folder(save)
     shown, endings = view.choose_flows(episodes, default=episodes), list[str]()
     given["flows"] = replace(given["flows"], num_envs=len(shown))
     with ExitStack() as stack:
@@ -161,11 +160,11 @@ def main(
         )
     with ExitStack() as stack:
         folder = stack.enter_context(TemporaryDirectory(prefix="fishrl-"))
-        path = Path(recording or save or f"{folder}/view.rrd")
+        path = Path(recording or save or f"{folder}/view.rrd").expanduser()
         if recording is not None:
             find_recording(path)
-        if screenshot is not None:
-            check_folder(screenshot)
+        for file in {save, screenshot}:
+            stack.enter_context(claim_file(file))
         if opens and not has_screen():
             raise ValueError(
                 "no screen to open a window on: give save=<file.rrd>, screenshot=<file.png>, or "

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from fishrl import __version__
-from fishrl.files import write_whole
+from fishrl.files import claim, write_whole
 from fishrl.pages import write_csv, write_table
 from fishrl.training.checkpoint import Checkpoint, save_checkpoint, write_sums
 from fishrl.training.logger import read_rows
@@ -53,7 +53,13 @@ def export_policy(
     Raises:
         ValueError: if there is no such run or checkpoint, or the folder holds something.
     """
-    source, folder = RunFolder(Path(run).expanduser()), Path(folder).expanduser()
+    folder = Path(folder).expanduser()
+    with claim(folder):
+        _export(RunFolder(Path(run).expanduser()), folder, title=title, revision=revision)
+    return folder
+
+
+def _export(source: RunFolder, folder: Path, *, title: str | None, revision: str | None) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ValueError(f"folder = {folder}: exists; name a new one")
     best = Checkpoint.find(source.path)
@@ -64,7 +70,6 @@ def export_policy(
     spec = PolicySpec.for_task(plan.task, has_labels=plan.recognition is not None)
     plan = replace(plan, folder="runs", name=folder.name)  # not where it was on this machine
     config = plan.to_config()
-    folder.parent.mkdir(parents=True, exist_ok=True)
     save_checkpoint(folder, {"actor": actor}, spec=spec, frames=best.frames, config=config)
     if plan.recognition is not None:
         plan.recognition.keep(folder)
@@ -79,7 +84,6 @@ def export_policy(
         plan, summary, title=title or folder.name, frames=best.frames, revision=revision
     )
     write_whole(folder / "README.md", card)
-    return folder
 
 
 def _shorten(cell: str) -> str:

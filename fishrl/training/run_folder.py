@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -30,12 +31,14 @@ class Stored(BaseModel):
     model_config = ConfigDict(strict=True)
 
 
+#: For so long a lock may be held by a process that only looks whether it is free.
+_LOOK_SECONDS = 0.5
 #: What to do about a run that changed between two looks at it.
 CHANGED = "another process has continued it meanwhile; repeat the command"
 
 
 class HeldError(ValueError):
-    """Another process writes the run."""
+    """Another training writes the run."""
 
 
 class RunFolder:
@@ -95,11 +98,14 @@ class RunFolder:
         """Lock the run until the file is closed or the process ends, or raise HeldError."""
         with naming_folder(self.path):
             file = self.lock.open("a")
-        if not take_lock(file):
-            file.close()
-            raise HeldError(
-                f"run folder {self.path}: another process writes it; wait for it or end it"
-            )
+        deadline = time.monotonic() + _LOOK_SECONDS
+        while not take_lock(file):
+            if time.monotonic() > deadline:
+                file.close()
+                raise HeldError(
+                    f"run folder {self.path}: another training writes it; wait for it or end it"
+                )
+            time.sleep(0.01)
         return file
 
     @contextmanager

@@ -3,7 +3,6 @@
 from fishrl.viewer.blueprint import make_blueprint
 from fishrl.viewer.drawing import TIMELINE, Drawing
 from fishrl.viewer.files import (
-    check_folder,
     find_recording,
     open_recording,
     start_drawing,
@@ -19,7 +18,6 @@ __all__ = [
     "Recording",
     "Server",
     "ViewerSettings",
-    "check_folder",
     "find_recording",
     "has_screen",
     "make_blueprint",

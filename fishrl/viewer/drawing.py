@@ -83,7 +83,7 @@ class Drawing:
             self._draw_constants(make_flow_path(flow), title)
 
     def close(self) -> None:
-        """Flush and end the stream."""
+        """Flush and end the stream, and the threads that rerun would keep for it."""
         try:
             self.stream.flush(timeout_sec=30.0)
         except RuntimeError as error:
@@ -91,6 +91,8 @@ class Drawing:
                 raise
             logger.warning("the live viewer has not received everything: %s", error)
         self.stream.disconnect()
+        del self.stream, self._log
+        self._rerun.bindings.flush_and_cleanup_orphaned_recordings()
 
     def draw(self, flow: int, frame: Frame) -> None:
         """Draw a moment of a flow, given its index."""

@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 from fishrl.children import make_environment
 from fishrl.envs.scene import Scene
-from fishrl.files import staged
+from fishrl.files import check_folder, staged
 from fishrl.viewer.blueprint import make_blueprint
 from fishrl.viewer.drawing import TIMELINE, Drawing
 from fishrl.viewer.process import Viewer
@@ -170,17 +170,6 @@ def open_headless(path: str | os.PathLike[str], time_T: float | None) -> Iterato
         moment = middle if time_T is None else time_T
         viewer.ask(lambda client: client.set_time(TIMELINE, duration=moment, play_state="paused"))
         yield viewer
-
-
-def check_folder(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a file to write; raise OSError if it cannot be written."""
-    target = Path(path)
-    folder = target.absolute().parent
-    if not folder.is_dir():
-        raise FileNotFoundError(f"no folder {target.parent}: make it first")
-    if target.is_dir() or target.is_symlink() or not os.access(folder, os.W_OK | os.X_OK):
-        raise OSError(f"{target}: cannot be written; choose another file")
-    return target
 
 
 def find_recording(path: str | os.PathLike[str]) -> Path:

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from inspect import signature
-from secrets import randbits
 from typing import Any
 
 from fishrl.envs import (
@@ -50,8 +49,7 @@ def make_vector(task: Callable[..., AbstractTask], num_envs: int, **settings: An
         task: class of the task, or a function that makes it.
         num_envs: number of flows, regardless of ``flows.num_envs``.
         settings: arguments of ``make_env`` and ``FlowVectorEnv``; all others go to the task.
-            Without ``seed`` each environment draws its own, as Gymnasium's do; ``reset(seed=...)``
-            repeats episodes.
+            ``reset(seed=...)`` repeats episodes.
 
     Raises:
         ValueError: for unknown settings.
@@ -61,7 +59,6 @@ def make_vector(task: Callable[..., AbstractTask], num_envs: int, **settings: An
         for takes in (make_env, FlowVectorEnv)
     )
     flows = replace(making.pop("flows", Flows()), num_envs=num_envs)
-    making.setdefault("seed", randbits(32))
     env = make_env(task=task(**settings), flows=flows, **making)
     return FlowVectorEnv(env, **wrapping)
 

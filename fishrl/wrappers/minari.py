@@ -17,6 +17,7 @@ from torchrl.envs import TransformedEnv
 
 from fishrl.envs.episodes import Policy, run_episodes
 from fishrl.extras import show_install
+from fishrl.files import claim
 
 try:
     import minari
@@ -68,53 +69,55 @@ def write_dataset(
     Raises:
         ValueError: for several fish, and as ``find_dataset``.
     """
-    find_dataset(name, folder)
+    path = find_dataset(name, folder)
     task = env.base_env.task
     if task.num_fish > 1:
         raise ValueError(
             f"task: {type(task).__name__} has several fish, but a Minari dataset has one agent"
         )
-    masked = () if task.action_bounds is not None else ("action_mask",)
-    reported = [key for key in env.base_env.observation_spec if key not in masked]
+    with claim(path):
+        find_dataset(name, folder)  # another process may have just written it
+        masked = () if task.action_bounds is not None else ("action_mask",)
+        reported = [key for key in env.base_env.observation_spec if key not in masked]
 
-    def read(start_of: Tensor, state: TensorDictBase) -> dict[str, Tensor]:
-        return dict(state.select("observation_stack", *masked, *reported).items())
+        def read(start_of: Tensor, state: TensorDictBase) -> dict[str, Tensor]:
+            return dict(state.select("observation_stack", *masked, *reported).items())
 
-    def read_step(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
-        outcome = step["next"].select("reward", "terminated", "truncated")
-        return {"action": step["action"], **outcome, **read(start_of, step["next"])}
+        def read_step(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
+            outcome = step["next"].select("reward", "terminated", "truncated")
+            return {"action": step["action"], **outcome, **read(start_of, step["next"])}
 
-    traces = run_episodes(
-        env, policy, starts, on_begin=read, on_step=read_step, on_episodes=on_episodes
-    ).traces
-    buffers = []
-    for index in range(len(starts)):
-        arrays = {key: values.numpy() for key, values in traces.of(index).items()}
-        masks = {key: arrays[key].astype(np.uint8) for key in masked}
-        buffer = EpisodeBuffer(
-            id=index,
-            seed=seed,
-            observations={"observation": arrays["observation_stack"], **masks},
-            actions=arrays["action"],
-            rewards=arrays["reward"][:, 0],
-            terminations=arrays["terminated"][:, 0],
-            truncations=arrays["truncated"][:, 0],
-            infos={key: arrays[key] for key in reported},
-        )
-        buffers.append(buffer)
-    seen, actions = make_spaces(env)
-    mask = Box(0, 1, (task.num_actions,), np.uint8)  # TorchRL cannot read MultiBinary
-    with warnings.catch_warnings(), _naming(folder):
-        warnings.simplefilter("ignore", UserWarning)  # missing metadata for the public server
-        return minari.create_dataset_from_buffers(
-            name,
-            buffers,
-            observation_space=Dict({"observation": seen, **dict.fromkeys(masked, mask)}),
-            action_space=actions,
-            algorithm_name=algorithm,
-            description=f"{len(starts)} episodes of {task}",
-            requirements=["fishrl"],
-        )
+        traces = run_episodes(
+            env, policy, starts, on_begin=read, on_step=read_step, on_episodes=on_episodes
+        ).traces
+        buffers = []
+        for index in range(len(starts)):
+            arrays = {key: values.numpy() for key, values in traces.of(index).items()}
+            masks = {key: arrays[key].astype(np.uint8) for key in masked}
+            buffer = EpisodeBuffer(
+                id=index,
+                seed=seed,
+                observations={"observation": arrays["observation_stack"], **masks},
+                actions=arrays["action"],
+                rewards=arrays["reward"][:, 0],
+                terminations=arrays["terminated"][:, 0],
+                truncations=arrays["truncated"][:, 0],
+                infos={key: arrays[key] for key in reported},
+            )
+            buffers.append(buffer)
+        seen, actions = make_spaces(env)
+        mask = Box(0, 1, (task.num_actions,), np.uint8)  # TorchRL cannot read MultiBinary
+        with warnings.catch_warnings(), _naming(folder):
+            warnings.simplefilter("ignore", UserWarning)  # missing metadata for the public server
+            return minari.create_dataset_from_buffers(
+                name,
+                buffers,
+                observation_space=Dict({"observation": seen, **dict.fromkeys(masked, mask)}),
+                action_space=actions,
+                algorithm_name=algorithm,
+                description=f"{len(starts)} episodes of {task}",
+                requirements=["fishrl"],
+            )
 
 
 @contextmanager

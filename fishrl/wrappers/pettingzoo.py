@@ -75,13 +75,14 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
-        """Start a new episode; return observations and infos by fish."""
+        """Start a new episode; return observations and infos by fish, with the ``seed``."""
         if seed is not None:
             self.env.set_seed(int(seed), static_seed=True)
         self.agents = list(self.possible_agents)
         self._pictures.begin(np.ones(1, dtype=np.bool_))
         self._state: TensorDictBase = self.env.reset()
-        return self._observe(), self._tell()
+        told, own = self._tell(), np.asarray(self.env.base_env.seed)
+        return self._observe(), {name: info | {"seed": own} for name, info in told.items()}
 
     def step(
         self, actions: Mapping[str, Any]

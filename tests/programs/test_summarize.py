@@ -210,7 +210,7 @@ def test_incomplete_runs_are_named(tmp_path: Path) -> None:
 def hold_elsewhere(path: Path) -> Iterator[Any]:
     """Let another process hold a run until it is killed."""
     code = f"import fcntl, sys, time; held = open({str(RunFolder(path).lock)!r}, 'a'); "
-    code += "fcntl.lockf(held, fcntl.LOCK_EX); print(1, flush=True); sys.stdin.read()"
+    code += "fcntl.flock(held, fcntl.LOCK_EX); print(1, flush=True); sys.stdin.read()"
     pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "cwd": ROOT}
     with subprocess.Popen([sys.executable, "-c", code], **pipes) as holder:
         assert holder.stdout.readline() == b"1\n"
@@ -223,7 +223,7 @@ def test_run_is_locked_until_its_process_is_killed(tmp_path: Path) -> None:
     with hold_elsewhere(path):
         assert read_run(path).status == "running"
         assert "rerun" not in summarize.summarize(tmp_path)
-        with pytest.raises(HeldError, match="another process writes it; wait for it or end it"):
+        with pytest.raises(HeldError, match="another training writes it; wait for it or end it"):
             RunFolder(path).hold()
     assert read_run(path).status == "finished"
     RunFolder(path).hold().close()
@@ -237,7 +237,7 @@ def test_file_system_without_locks_is_tolerated(
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(fcntl, "lockf", refuse)
+    monkeypatch.setattr(fcntl, "flock", refuse)
     with caplog.at_level("INFO"):
         RunFolder(path).hold().close()
     assert "cannot be locked" in caplog.text

@@ -316,7 +316,7 @@ def test_job_of_another_sweep_in_the_same_folder_is_told_apart_in_any_phase(
         if phase != "before":
             other.path.mkdir()
             log = stack.enter_context((other.path / "output.log").open("ab"))
-            assert take_lock(log, is_passed_on=True)
+            assert take_lock(log)
         if phase in ("written", "held", "finished"):
             make_run_folder(other.settings)
         if phase == "held":

@@ -45,7 +45,7 @@ FEW = [
 ]
 
 
-def _set_task(values: dict[str, Any]) -> list[str]:
+def set_task(values: dict[str, Any]) -> list[str]:
     return [
         f"task.{name}={list(value) if isinstance(value, tuple) else value}"
         for name, value in values.items()
@@ -81,7 +81,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def predation_run(runs: Path) -> Path:
     """Train on predation in a real flow, with pictures."""
-    task = _set_task(REAL["predation"])
+    task = set_task(REAL["predation"])
     return _train(runs, "predation_run", "task=predation", *task, pictures=1)
 
 
@@ -91,7 +91,7 @@ def gait_run(runs: Path) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         move_kinematically(patch)
         chosen = ["task=karman_gait", "preset=gait_small", "recognition=oracle"]
-        task = [*_set_task(KINEMATIC), "task.start_flows=[0,1,2]"]
+        task = [*set_task(KINEMATIC), "task.start_flows=[0,1,2]"]
         return _train(runs, "gait_run", *chosen, *task)
 
 
@@ -117,12 +117,12 @@ def test_each_task_trains(task: str, runs: Path, monkeypatch: pytest.MonkeyPatch
         more += ["baselines=[]"]  # evaluated where fish glide
     if task == "karman_varied":
         more += [f"task.stream.diameter_bl={[0.4, 0.5, 0.6, 0.7] * 3}"]
-    _train(runs, task, f"task={task}", *more, *_set_task(REAL.get(task, KINEMATIC)))
+    _train(runs, task, f"task={task}", *more, *set_task(REAL.get(task, KINEMATIC)))
 
 
 @pytest.mark.usefixtures("kinematic")
 def test_pair_is_viewed_but_not_exported(tmp_path: Path) -> None:
-    chosen = ["policy=pursuit", "task=predation_pair", *_set_task(KINEMATIC), *EAGER]
+    chosen = ["policy=pursuit", "task=predation_pair", *set_task(KINEMATIC), *EAGER]
     _run("view", *chosen, f"save={tmp_path / 'flow.rrd'}", "periods=1")
     assert (tmp_path / "flow.rrd").is_file()
     with pytest.raises(AssertionError):  # the program says why, and fails
@@ -132,7 +132,7 @@ def test_pair_is_viewed_but_not_exported(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("algorithm", ["sac", "ppo"])
 def test_continuous_policy_is_trained_and_exported(algorithm: str, tmp_path: Path) -> None:
-    chosen = ["task=predation_continuous", f"algorithm={algorithm}", *_set_task(KINEMATIC)]
+    chosen = ["task=predation_continuous", f"algorithm={algorithm}", *set_task(KINEMATIC)]
     rollout = ["algorithm.rollout_length=2"] if algorithm == "ppo" else []
     run = _train(tmp_path, algorithm, *chosen, *rollout, pictures=1)
     _run("export-policy", f"run={run}", f"folder={tmp_path / 'policy'}")
@@ -149,7 +149,7 @@ def test_continuous_policy_is_trained_and_exported(algorithm: str, tmp_path: Pat
     ],
 )
 def test_each_baseline_is_evaluated(task: str, policy: str) -> None:
-    chosen = [f"policy={policy}", f"task={task}", *_set_task(KINEMATIC), "task.time_limit=2"]
+    chosen = [f"policy={policy}", f"task={task}", *set_task(KINEMATIC), "task.time_limit=2"]
     if task == "predation":  # pursuers decide once per T
         chosen += ["task.control_interval_T=1", "task.checks_per_action=25"]
     _run("evaluate", *chosen, "episodes=2", "flows.num_envs=2", *EAGER)
@@ -191,7 +191,7 @@ def test_summarize_writes_its_tables(predation_run: Path) -> None:
 def test_lateral_line_classifier_is_trained(tmp_path: Path) -> None:
     few = ["num_samples=96", "max_decisions=2", "flows.num_envs=6", "num_epochs=2", "hidden=[8]"]
     places = [f"folder={tmp_path}", "name=line", f"data_folder={tmp_path / 'data'}"]
-    _run("train-lateral-line", *few, *places, *_set_task(KINEMATIC), *EAGER)
+    _run("train-lateral-line", *few, *places, *set_task(KINEMATIC), *EAGER)
     assert (tmp_path / "line" / "classifier.pt").is_file()
 
 
@@ -205,7 +205,7 @@ def test_tiny_reproduction_runs_all_jobs_and_writes_its_page(tmp_path: Path) -> 
 
 
 def test_long_training_is_watched(runs: Path) -> None:
-    task = _set_task(REAL["predation"])
+    task = set_task(REAL["predation"])
     _run("endurance", f"folder={runs}", "name=long", *FEW, *task, "baselines=[]", "buffer_size=9")
     assert "open_files" in (runs / "long" / "endurance.json").read_text(encoding="utf-8")
 

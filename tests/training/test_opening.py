@@ -9,6 +9,7 @@ import pytest
 from fishrl.envs import Flows, KarmanGait, Oracle, Predation, make_env
 from fishrl.envs.streams import Stream
 from fishrl.physics import InPlaceSolver
+from fishrl.programs.sweeps.runs import read_run
 from fishrl.training import Plan, complete, open_run
 from fishrl.training.loop import Training
 from fishrl.training.run_folder import HeldError
@@ -106,3 +107,13 @@ def test_run_that_another_process_has_gone_on_with_since_it_was_read_is_left_alo
     if not is_unchanged:
         assert before == (other.folder.config.read_text(), other.folder.metrics.exists())
         assert [path.name for path in toy.folder.iterdir()] == ["run"]
+
+
+def test_one_process_trains_a_run_once(toy: Toy) -> None:
+    first = toy.begin(**QUICK, name="run")
+    for _ in range(2):  # a look at the run lets nobody in
+        assert read_run(first.folder.path).status == "running"
+        with pytest.raises(HeldError, match="another training writes it"):
+            Training(open_run(first.folder.path))
+    first.close()
+    toy.reopen("run").close()

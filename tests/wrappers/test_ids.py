@@ -1,6 +1,10 @@
 """Gymnasium ids, single flows, films, and several fish in PettingZoo."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from secrets import randbits
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -8,15 +12,18 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 from pettingzoo.test import parallel_api_test
+from tensordict import TensorDictBase
 
 from fishrl.benchmark import list_versions
-from fishrl.envs import Flows, Predation, PredationPair, make_env, make_task
+from fishrl.envs import Flows, Predation, PredationPair, make_env, make_task, making
 from fishrl.envs.control import Turn
 from fishrl.wrappers.gymnasium import TASKS, FlowVectorEnv
 from fishrl.wrappers.pettingzoo import FlowParallelEnv
+from fishrl.wrappers.stable_baselines import FlowVecEnv
 from tests.envs.conftest import CONTINUOUS, SMALL
 
 pytestmark = pytest.mark.usefixtures("kinematic")
+EAGER = Flows(num_envs=1, compile=False)
 SETTINGS = {**SMALL, "time_limit": 3, "flows": Flows(compile=False)}
 
 
@@ -52,7 +59,32 @@ def test_presets_have_ids() -> None:
         gymnasium.make("fishrl/gait_bent")
 
 
-def test_environments_without_seed_draw_their_own() -> None:
+WRAPPED: list[Callable[[], Any]] = [
+    partial(gymnasium.make, "fishrl/Predation-v0", **SETTINGS),
+    partial(gymnasium.make_vec, "fishrl/Predation-v0", num_envs=2, **SETTINGS),
+    lambda: FlowVecEnv(make_env(task=Predation(**SMALL), flows=EAGER)),
+    lambda: FlowParallelEnv(make_env(task=PredationPair(**SMALL), flows=EAGER)),
+    lambda: make_env(task=Predation(**SMALL), flows=EAGER),
+]
+
+
+def read_start(env: Any) -> str:
+    """Return what an environment of any framework observes first."""
+    seen = env.reset()
+    seen = seen["observation"] if isinstance(seen, TensorDictBase) else seen
+    return str(seen[0] if isinstance(seen, tuple) else seen)
+
+
+@pytest.mark.parametrize("make", WRAPPED)
+def test_environments_without_seed_start_differently(
+    make: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(making, "randbits", randbits)
+    assert len({read_start(make()) for _ in range(3)}) == 3
+
+
+def test_environments_without_seed_tell_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(making, "randbits", randbits)
     first, other = (gymnasium.make("fishrl/Predation-v0", **SETTINGS) for _ in range(2))
     (start, info), (another, _) = first.reset(), other.reset()
     assert not np.array_equal(start, another)

@@ -97,7 +97,7 @@ def collect(settings: CollectionSettings, progress: Callback = SILENT) -> Tensor
     while num_done < s.num_samples:
         path = place / f"piece-{len(pieces):04d}.pt"
         if not path.is_file():
-            env = env or make_env(task=task, flows=s.flows)
+            env = env or make_env(task=task, flows=s.flows, seed=0)
             with staged(path) as stage:
                 torch.save(record_piece(env, len(pieces), seed=s.seed).to_dict(), stage)
         content = load_tensors(path, what="data", remedy="delete the file")

@@ -182,7 +182,7 @@ def run_job(job: Job) -> Run:
         ExitStack() as stack,
     ):
         # held by this job and its run: another sweep's job of the same folder begins no second one
-        while not (is_own := take_lock(output, is_passed_on=True)) and not folder.config.is_file():
+        while not (is_own := take_lock(output)) and not folder.config.is_file():
             time.sleep(LOOK_SECONDS)
         is_ended = open_run(job.settings).summary is not None  # it may have begun meanwhile
         if is_ended or not is_own or is_held(path):
