@@ -51,6 +51,7 @@ def test_flows_and_networks_may_change_devices(
     parts = Training(open_run(tmp_path / "parts", total_frames=32))
     parts.run()
     assert_equal_weights(whole, parts)
+    parts.close()
     other = Flows(num_envs=2, compile=False, device=learner_device)
     assert resume(tmp_path / "parts", total_frames=40, flows=other)["frames"] == 40
 
