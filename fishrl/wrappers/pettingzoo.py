@@ -81,8 +81,8 @@ class FlowParallelEnv(ParallelEnv[str, Array, Any]):
         self.agents = list(self.possible_agents)
         self._pictures.begin(np.ones(1, dtype=np.bool_))
         self._state: TensorDictBase = self.env.reset()
-        told, own = self._tell(), np.asarray(self.env.base_env.seed)
-        return self._observe(), {name: info | {"seed": own} for name, info in told.items()}
+        infos, own = self._tell(), np.asarray(self.env.base_env.seed)
+        return self._observe(), {name: info | {"seed": own} for name, info in infos.items()}
 
     def step(
         self, actions: Mapping[str, Any]
