@@ -1,7 +1,6 @@
 """Where levels are fine behind a half disc: a patch for disc and fish each, or one for both."""
 
 from dataclasses import replace
-from math import inf
 from typing import NamedTuple
 
 from fishrl.envs.stations import SafeArea
@@ -21,7 +20,7 @@ class WakePatches(NamedTuple):
     """Patches, and what the fish must keep from the disc for them to stay apart."""
 
     patches: tuple[Patch, ...]
-    least_x: float  #: of a marker of the fish, nodes; -inf with one level, and in a common patch
+    least_x: float | None  #: of a marker of the fish, nodes; None unless it has its own patch
 
 
 def place_patches(task: AbstractStreamTask, area: SafeArea) -> WakePatches:
@@ -32,7 +31,7 @@ def place_patches(task: AbstractStreamTask, area: SafeArea) -> WakePatches:
     """
     length, unit, (x, _) = task.body_length, 2 ** (task.levels - 1), task.origin
     if not task.discs or task.levels == 1:
-        return WakePatches((), -inf)
+        return WakePatches((), None)
     disc = 0.5 * max(task.stream.diameters_bl)
     margin = max(MARGIN_BL * length, 2.0 * MARGIN_NODES)
     # that markers keep from the end of their patch, as they move between two checks
@@ -50,7 +49,7 @@ def place_patches(task: AbstractStreamTask, area: SafeArea) -> WakePatches:
     ahead = min(area.near_bl - reach, -disc - 0.25)
     aside = max(area.aside_bl + reach, disc + 0.25)
     box = task.frame("patch", x_bl=(ahead, area.far_bl + reach), aside_bl=aside)
-    return WakePatches((Patch.between(box.low, box.high),), -inf)
+    return WakePatches((Patch.between(box.low, box.high),), None)
 
 
 def _fits(task: AbstractStreamTask, begin: float) -> bool:

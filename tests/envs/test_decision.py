@@ -27,7 +27,7 @@ class Operators(TorchDispatchMode):
 
 @pytest.mark.parametrize(
     ("make", "most"),
-    [(lambda: Predation(**TINY), 1010), (make_task, 2940)],
+    [(lambda: Predation(**TINY), 1010), (make_task, 2910)],
     ids=["predation", "karman"],
 )
 def test_decision_takes_few_operators_outside_the_flow(

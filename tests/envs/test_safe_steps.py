@@ -98,7 +98,7 @@ def test_fish_in_a_stream_stays_below_the_assumed_speed(monkeypatch: pytest.Monk
     task = make_wake_task()
     largest = find_largest_speed(monkeypatch, task, [[1, 2], [0, 2]])
     place = torch.tensor([[1.0, 0.0]])
-    far = {"clearance": torch.tensor([999.0]), "room": torch.tensor([999.0]), "place": place}
+    far = {"clearance": torch.tensor([999.0]), "place": place}
     margin = task.safe_area.measure_margin(place) * task.body_length
     speed = float(margin / task.count_safe_steps(TensorDict(far, [1])))
     assert 0.2 * speed < largest < 0.9 * speed

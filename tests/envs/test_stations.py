@@ -34,7 +34,6 @@ def test_reward_terms_add_up_as_in_the_paper(settings: dict[str, Any], paid: str
         "drift": drift[:, None].expand(-1, 2),
         paid: torch.tensor([0.0, 0.0, 0.0, 2.0, 3.0, 0.0, 0.0]),
         "clearance": torch.full((7,), 99.0),
-        "room": torch.full((7,), 99.0),
     }
     terms = task.reward(TensorDict({paid: torch.zeros(7)}, [7]), TensorDict(now, [7]))
     expected = [1.1, 1.1, -0.9, 1.0, 0.95, 1.1 - 1.0, 1.1 - 2.5 - 5.0]

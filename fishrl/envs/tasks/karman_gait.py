@@ -221,7 +221,6 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
             "heading": body.heading.clone(),
             "age": body.age.clone(),
             "clearance": compute_clearance(markers, solver.config),
-            "room": markers[..., 0].amin(1) - self.wake_patches.least_x,
             "work": body.work / unit,
             "positive_work": body.positive_work / unit,
             "lateral_work": body.lateral_work / unit,
@@ -229,6 +228,9 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
             **measure_own_motion(body, self.scales.period),
             **self.measure_stream(solver, starts["flow_index"]),
         }
+        if (least_x := self.wake_patches.least_x) is not None:
+            now["room"] = markers[..., 0].amin(1) - least_x
+            now["clearance"] = torch.minimum(now["clearance"], now["room"] + self.wall_margin)
         return TensorDict(now, starts.batch_size, device=starts.device)
 
     def sense(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
@@ -293,7 +295,7 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
         """Return whether the fish is in the danger area, at an edge or at the disc's patch."""
-        hits_edge: Tensor = (now["clearance"] < self.wall_margin) | (now["room"] < 0.0)
+        hits_edge: Tensor = now["clearance"] < self.wall_margin
         return hits_edge | (self.safe_area.measure_margin(now["place"]) <= 0.0)
 
     @property
@@ -308,7 +310,7 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
 
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
         """Return how long the fish takes at least to an edge and to the danger area."""
-        to_edge = torch.minimum(now["clearance"] - self.wall_margin, now["room"])
+        to_edge = now["clearance"] - self.wall_margin
         to_danger = self.safe_area.measure_margin(now["place"]) * self.body_length
         return torch.minimum(to_edge, to_danger) / self.marker_speed
 
@@ -328,11 +330,11 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
 
     def name_endings(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Tell on which side the fish has left the safe area."""
-        return {
-            **self.safe_area.name_sides(now["place"]),
-            "hit an edge": now["clearance"] < self.wall_margin,
-            "turned back to the obstacle": now["room"] < 0.0,
-        }
+        endings = self.safe_area.name_sides(now["place"])
+        endings["hit an edge"] = now["clearance"] < self.wall_margin
+        if self.wake_patches.least_x is not None:
+            endings["turned back to the obstacle"] = now["room"] < 0.0
+        return endings
 
     def add_to_scene(self, scene: Scene) -> Scene:
         """Add the safe area, the nose's place in it, the flow label and the lateral line."""
