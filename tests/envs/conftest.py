@@ -21,6 +21,7 @@ SMALL: dict[str, Any] = {
     "reynolds": 500.0,
     "max_wall_speed": 0.15,
     "wall_margin_bl": 0.15,
+    "levels": 1,
 }
 #: Turns and tail-beat frequencies as numbers.
 CONTINUOUS = Turn(beat=ContinuousFrequency(frequency_range=(0.5, 1.0)))

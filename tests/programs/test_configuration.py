@@ -88,7 +88,7 @@ def test_precedence_of_defaults_presets_and_command_line(tmp_path: Path) -> None
     def length(*arguments: str) -> Any:
         return read([folder, *arguments]).task.body_length
 
-    assert length() == 50  # the default of the task
+    assert length() == 64  # the default of the task
     assert length("task=own") == 20  # no preset is there unless it is asked for
     assert length("task=own", "preset=quick") == length("preset=quick", "task=own") == 32
     assert length("experiment=own", "task=own") == 36

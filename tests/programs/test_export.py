@@ -23,7 +23,7 @@ from fishrl.zoo import find_policy
 
 TINY = [
     "policy=pursuit", "flows.compile=false", "periods=1", "frames_per_T=2", "task.body_length=16",
-    "task.reynolds=300", "task.max_wall_speed=0.15", "task.wall_margin_bl=0.3",
+    "task.levels=1", "task.reynolds=300", "task.max_wall_speed=0.15", "task.wall_margin_bl=0.3",
     "task.domain_bl=[5.0,3.0]", "task.start_x_bl=[2.5,3.5]", "task.start_y_bl=[1.2,1.8]",
     "task.food_x_bl=1.0", "task.food_y_bl=1.5", "task.food_limits_bl=[1.0,2.0]",
 ]  # fmt: skip
