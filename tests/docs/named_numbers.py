@@ -23,6 +23,7 @@ from tests.docs.page_numbers import (
     RESOLUTION,
     RESULTS,
     SEVERAL,
+    SPEED,
     STREAM,
     WORK,
     Numbers,
@@ -237,6 +238,18 @@ NAMED: list[tuple[str, str, Callable[[], Numbers]]] = [
             len(list(DOCS.glob("validation/*.json"))),
             sum(verdict == "pass" for verdict in list_verdicts()),
             sum(verdict != "recorded" for verdict in list_verdicts()),
+        ],
+    ),
+    (
+        README,
+        "takes # µs and a tail beat # s (192 × 96 nodes), at L = 50 in the tank # s, at L = 100 "
+        "with the paper's immersed boundary # s",
+        lambda: [
+            find_row(SPEED, "gait_bend, 192 × 96", "now")[0],
+            *(
+                find_row(SPEED, case, "now")[-1]
+                for case in ("gait_bend, 192 × 96", "small, 500 × 250", "paper, 1000 × 500")
+            ),
         ],
     ),
     (STREAM, "= # N per metre of depth", lambda: [1000 * 0.04**3 * 3**2]),
