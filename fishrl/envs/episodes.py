@@ -39,6 +39,12 @@ class Episodes:
     #: what the callbacks of ``run_episodes`` returned
     traces: Traces = field(default_factory=lambda: Traces(0))
 
+    def find_typical(self) -> int:
+        """Return the start whose episode ended as most did, after about their median length."""
+        is_usual = self.succeeded == (self.succeeded.double().mean() >= 0.5)
+        off = (self.lengths - self.lengths[is_usual].median()).abs()
+        return int(off.masked_fill(~is_usual, int(self.lengths.max()) + 1).argmin())
+
     def metrics(self) -> dict[str, float]:
         """Reduce to numbers; the time to success is NaN where there was none."""
         lengths_T = (self.lengths * self.interval_T).double()

@@ -45,6 +45,7 @@ class Curve:
     is_closed: bool = True  #: whether the last point joins the first
     is_filled: bool = True  #: whether a closed curve is filled
     order: float = 4.0  #: curves of higher order lie above
+    name: str = ""  #: name next to a closed curve in films and pictures
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,6 +138,8 @@ class Scene:
     body_length: float  #: L, nodes
     width: int  #: nodes along x
     height: int  #: nodes along y
+    #: magnification of films and pictures; above 1 they follow the first of the curves
+    zoom: float = 1.0
     title: str = ""  #: task and senses, and the policy if it is known
     #: fields of the flow; the first one is drawn, the others can be chosen instead
     fields: tuple[Field, ...]

@@ -37,6 +37,8 @@ _FEATURES = {
     "t": ("T", 10.0), "x": ("L", 10.0), "y": ("L", 5.0), "shear": ("1/T", 50.0),
 }  # fmt: skip
 _SIDES = ("right", "left")
+#: Names of bodies other than the fish that decide.
+_WORDS = {"dcylinder": "half disc", "fish": "leader"}
 
 
 def make_scene(task: AbstractTask, *, shows_levels: bool = False) -> Scene:
@@ -87,14 +89,13 @@ def make_scene(task: AbstractTask, *, shows_levels: bool = False) -> Scene:
 
 def _draw_bodies(num_fish: int, obstacles: Sequence[str]) -> tuple[Curve, ...]:
     """Return the outlines of all bodies, and the midlines of the fish."""
-    names = range(num_fish)
+    looks: dict[str, Any] = {"colour": MIDLINE, "is_closed": False, "order": 5.0}
+    words = [f"fish {i}" for i in range(num_fish)] if num_fish > 1 else ["fish"]
+    kinds = {key: key.rpartition("_")[0] for key in obstacles[num_fish - 1 :]}
     return (
-        *(Curve(key=name_fish("fish", i), colour=FISH) for i in names),
-        *(
-            Curve(key=name_fish("midline", i), colour=MIDLINE, is_closed=False, order=5.0)
-            for i in names
-        ),
-        *(Curve(key=key, colour=OBSTACLE) for key in obstacles[num_fish - 1 :]),
+        *(Curve(key=name_fish("fish", i), colour=FISH, name=word) for i, word in enumerate(words)),
+        *(Curve(key=name_fish("midline", i), **looks) for i in range(num_fish)),
+        *(Curve(key=k, colour=OBSTACLE, name=_WORDS.get(kind, kind)) for k, kind in kinds.items()),
     )
 
 
@@ -103,7 +104,7 @@ def _draw_patches(config: FlowConfig) -> tuple[tuple[Curve, ...], tuple[Trail, .
     names = [f"patch_{number}" for number in range(1, len(config.list_grids()))]
     dots = (Trail(key=f"{name}_corner", colour=PATCH, is_dotted=True) for name in names)
     looks: dict[str, Any] = {"colour": PATCH, "is_filled": False, "order": 3.0}
-    return tuple(Curve(key=name, **looks) for name in names), tuple(dots)
+    return tuple(Curve(key=key, name="finer grid", **looks) for key in names), tuple(dots)
 
 
 def read_patches(solver: InPlaceSolver) -> dict[str, Tensor]:

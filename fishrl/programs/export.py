@@ -3,8 +3,9 @@
 ``policy=runs/<name> save=flow.nc`` simulates one episode and writes velocity, pressure and
 vorticity over time, and the outlines of all bodies, in body lengths L and tail-beat periods T.
 The ending of ``save`` says how: ``.nc`` NetCDF and ``.zarr`` Zarr, both read by xarray, ``.pvd``
-VTK files for ParaView; these need the extra ``export``. ``.csv`` is a table of what the fish did
-and felt, ``fishrl.viewer.signals.read_signals``, for a spreadsheet.
+VTK files for ParaView; these need the extra ``export``. ``.csv``, and ``.nc`` with
+``signals=true``, is a table of what the fish did and felt, of
+``fishrl.viewer.signals.read_signals``.
 """
 
 import json
@@ -34,8 +35,8 @@ from fishrl.training.callback import SILENT, Callback
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.policies import prepare
 from fishrl.training.progress import Progress
-from fishrl.viewer.fields import WRITERS, make_dataset, read_fields
-from fishrl.viewer.signals import read_signals, write_table
+from fishrl.viewer.fields import WRITERS, make_dataset, read_fields, write_netcdf
+from fishrl.viewer.signals import make_table, read_signals, write_table
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -102,24 +103,25 @@ def simulate(**given: Any) -> "xr.Dataset":
     Arguments are those of ``record``.
     """
     series, task = record(lambda env: read_fields(env.solver, env.task.scales), **given)
-    name, seed = Path(given["policy"]).name, given["seed"]
-    commit = read_revision() or "unknown"
-    return make_dataset(
-        series,
-        body_length=task.scales.body_length,
-        about={  # names of the CF conventions, where there are any
-            "title": f"{type(task).__name__}, policy {name}, seed {seed}",
-            "source": f"fishrl {__version__}, commit {commit}",
-            "comment": "lengths in body lengths L, times in periods T, pressure in rho (L/T)^2",
-            "policy": name,
-            "seed": seed,
-            "commit": commit,
-            "task": json.dumps(describe(task)),
-            "reynolds": task.reynolds,
-            "mach": task.scales.mach,
-            "steps_per_T": task.scales.period,
-        },
-    )
+    about = describe_episode(task, policy=given["policy"], seed=given["seed"])
+    return make_dataset(series, body_length=task.scales.body_length, about=about)
+
+
+def describe_episode(task: AbstractTask, *, policy: str, seed: int) -> dict[str, str | float]:
+    """Return attributes of a data set, named as in the CF conventions where these have names."""
+    name, commit = Path(policy).name, read_revision() or "unknown"
+    return {
+        "title": f"{type(task).__name__}, policy {name}, seed {seed}",
+        "source": f"fishrl {__version__}, commit {commit}",
+        "comment": "lengths in body lengths L, times in periods T, pressure in rho (L/T)^2",
+        "policy": name,
+        "seed": seed,
+        "commit": commit,
+        "task": json.dumps(describe(task)),
+        "reynolds": task.reynolds,
+        "mach": task.scales.mach,
+        "steps_per_T": task.scales.period,
+    }
 
 
 @policy_program(without=("callbacks", "episodes"))
@@ -128,6 +130,7 @@ def main(
     save: Annotated[str, ending_in(*WRITERS, TABLE)],
     periods: PositiveFloat | None = 5.0,
     frames_per_T: PositiveInt = 8,
+    signals: bool = False,
     preset: str | None = None,
     **given: Any,
 ) -> None:
@@ -137,6 +140,7 @@ def main(
         save: file or folder to write, ending in ``.nc``, ``.zarr``, ``.pvd`` or ``.csv``.
         periods: T after which the episode is cut; ``null`` runs it to its end.
         frames_per_T: frames per period, approximately.
+        signals: write the table to a ``.nc``, too, rather than the fields.
         preset: name of a preset; only its task is used.
         **given: arguments of ``evaluate``.
     """
@@ -145,10 +149,16 @@ def main(
     missing = [name for name in PACKAGES.get(path.suffix, ()) if find_spec(name) is None]
     if missing:
         raise ImportError(f"{save} needs {', '.join(missing)}: {show_install('export')}")
+    if signals and path.suffix not in (TABLE, ".nc"):
+        raise ValueError(f"save = {save}: the table is a .csv or .nc; leave out signals for fields")
     with claim_file(path), Progress() as progress:
-        if path.suffix == TABLE:
-            columns, _ = record(read_signals, callback=progress, **given)
-            write_table(columns, path)
+        if signals or path.suffix == TABLE:
+            columns, task = record(read_signals, callback=progress, **given)
+            if path.suffix == TABLE:
+                write_table(columns, path)
+            else:
+                about = describe_episode(task, policy=given["policy"], seed=given["seed"])
+                write_netcdf(make_table(columns, about=about), path)
             said = f"{len(columns)} columns"
         else:
             flow = simulate(callback=progress, **given)

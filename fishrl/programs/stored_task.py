@@ -1,24 +1,37 @@
 """Programs that run a policy, by default in the task of the policy's run."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from fishrl.programs.configuration import Node
 from fishrl.programs.program import Program, program
 from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.policies import evaluate, is_learned
+from fishrl.training.run_folder import read_summary
+from fishrl.zoo import find_folder
+
+#: Settings that choose the episode of ``fishrl view``.
+_TYPICAL = ("episodes", "shown_flows")
 
 
 def policy_program(
-    *parts: type, without: tuple[str, ...] = ("callbacks",), positional: str | None = None
+    *parts: type,
+    without: tuple[str, ...] = ("callbacks",),
+    positional: str | None = None,
+    shows_typical: bool = False,
 ) -> Callable[[Callable[..., None]], Program]:
-    """Make a program that takes the arguments of ``evaluate``; see ``program``."""
+    """Make a program that takes the arguments of ``evaluate``; see ``program``.
+
+    With ``shows_typical``, ``episodes`` and ``shown_flows`` are those of a typical episode of the
+    policy's final evaluation, unless the command line asks for other episodes.
+    """
     return program(
         evaluate,
         *parts,
         without=without,
         groups={"task": "predation", "preset": None},
-        stored=read_task,
+        stored=read_typical if shows_typical else read_task,
         positional=positional,
     )
 
@@ -38,3 +51,18 @@ def read_task(given: Node) -> Node:
     if not {"task", "preset"} & set(given):
         found |= {name: trained[name] for name in ("task", "preset") if name in trained}
     return found
+
+
+def read_typical(given: Node) -> Node:
+    """Return what ``read_task`` does, and the settings that show a typical episode, if known."""
+    found, others = read_task(given), {"task", "preset", "recognition", "seed", *_TYPICAL}
+    if found and not others & {name.partition(".")[0] for name in given}:
+        view = read_result(given["policy"]).get("view", {})
+        found |= {name: view[name] for name in _TYPICAL if name in view}
+    return found
+
+
+def read_result(policy: str) -> dict[str, Any]:
+    """Return the result of the final evaluation of a learned policy; empty where none is stored."""
+    path = find_folder(policy) / "summary.json" if is_learned(policy) else Path()
+    return read_summary(path) if path.is_file() else {}

@@ -1,7 +1,8 @@
 """Show what a policy does, in the rerun viewer: ``fishrl view policy=runs/<name>``.
 
 ``policy=pid preset=gait_small`` shows a baseline, ``live=true`` streams while it runs, ``save=``
-writes a recording or a film, ``screenshot=`` a picture; a path alone opens a recording that exists.
+writes a recording, a film or a picture, ``screenshot=`` one of the viewer; a path alone opens a
+recording that exists.
 """
 
 import time as clock
@@ -11,13 +12,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
-from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from fishrl.envs.episodes import count_decisions
 from fishrl.envs.scene import Frame
 from fishrl.files import claim_file
 from fishrl.programs.program import ending_in, take
-from fishrl.programs.stored_task import policy_program
+from fishrl.programs.statistics import find_share
+from fishrl.programs.stored_task import policy_program, read_result
 from fishrl.training.callback import Callback
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.policies import prepare
@@ -35,7 +37,11 @@ from fishrl.viewer import (
     start_drawing,
     write_screenshot,
 )
-from fishrl.viewer.film import FILMS, write_film
+from fishrl.viewer.film import FILMS, write_film, write_flow
+
+#: Endings of what is drawn of one flow: its last moment, or all as a film.
+DRAWN = (".png", *FILMS)
+_FRAMES_PER_S = 20  # least number in a film of a given speed
 
 
 def record(
@@ -45,6 +51,8 @@ def record(
     episodes: int,
     periods: float | None,
     url: str | None,
+    zoom: float,
+    seconds_per_T: float | None,
     callback: Callback,
     **given: Any,
 ) -> list[str]:
@@ -70,8 +78,8 @@ def record(
             policy="/".join(Path(given["policy"]).parts[-2:]),
             shows_levels=view.shows_levels,
         )
-        film, drawing = Recording(scene=scene), None
-        if save.suffix not in FILMS:
+        film, drawing = Recording(scene=replace(scene, zoom=zoom)), None
+        if save.suffix not in DRAWN:
             drawing = start_drawing(
                 scene,
                 flows=name_flows(task, shown, starts),
@@ -98,12 +106,14 @@ def record(
             starts[shown],
             scene=scene,
             give=draw,
-            frames_per_T=view.frames_per_T,
+            frames_per_T=max(view.frames_per_T, round(_FRAMES_PER_S * (seconds_per_T or 0))),
             max_decisions=max_decisions,
             on_step=lambda running, step: callback.on_progress(1),
         )
-    if drawing is None:
-        write_film(film, save)
+    if save.suffix in FILMS:
+        write_film(film, save, seconds_per_T=seconds_per_T)
+    elif drawing is None:
+        write_flow(film, save)
     return endings
 
 
@@ -115,14 +125,16 @@ def wait_for_interrupt() -> None:
             clock.sleep(1.0)
 
 
-@policy_program(ViewerSettings, positional="recording")
+@policy_program(ViewerSettings, positional="recording", shows_typical=True)
 def main(
     *,
     recording: str | None = None,
     policy: str | None = None,
     episodes: PositiveInt = 1,
     periods: PositiveFloat | None = 20.0,
-    save: Annotated[str, ending_in(".rrd", *FILMS)] | None = None,
+    save: Annotated[str, ending_in(".rrd", *DRAWN)] | None = None,
+    zoom: Annotated[float, Field(ge=1)] = 1.0,
+    seconds_per_T: PositiveFloat | None = None,
     screenshot: str | None = None,
     time: NonNegativeFloat | None = None,
     preset: str | None = None,
@@ -133,10 +145,14 @@ def main(
     Args:
         recording: a ``.rrd`` file, or a run folder with one, to open as it is.
         policy: see ``evaluate``; not needed for a recording.
-        episodes: fixed starts, one flow each, of which ``shown_flows`` are shown; all by default.
+        episodes: fixed starts, one flow each, of which ``shown_flows`` are shown; by default one
+            with a fate typical of a learned policy, else the first.
         periods: T after which an episode is cut; ``null`` runs it to its end.
-        save: file to write: a recording ``.rrd``, by default one in the temporary folder, or a film
-            of one flow, ``.mp4`` or ``.gif``.
+        save: file to write: a recording ``.rrd``, by default one in the temporary folder, or of one
+            flow a film, ``.mp4`` or ``.gif``, or a picture of the last moment, ``.png``.
+        zoom: magnification of a film or picture; above 1 it follows the fish.
+        seconds_per_T: duration of a period T in a film, 2 for slow motion; by default a film takes
+            some ten seconds.
         screenshot: PNG to write instead of opening a window.
         time: time of the picture, in T; by default the middle of the recording.
         preset: name of a preset; only its task is used.
@@ -149,15 +165,14 @@ def main(
     if recording is not None and (save or view.live):
         raise ValueError("save and live: a recording is only opened; give policy=<run folder>")
     num_shown = len(view.choose_flows(episodes, default=episodes))
-    if (
-        save is not None
-        and save.endswith(tuple(FILMS))
-        and (num_shown > 1 or screenshot or view.live)
-    ):
-        raise ValueError(
-            f"save = {save}: a film is of one flow, without screenshot and live: give episodes=1, "
-            "or the flow to be filmed, shown_flows=[0]"
-        )
+    if save is not None and save.endswith(DRAWN):
+        if num_shown > 1 or screenshot or view.live:
+            raise ValueError(
+                f"save = {save}: a film is of one flow, without screenshot and live: give "
+                "episodes=1, or the flow to be filmed, shown_flows=[0]"
+            )
+    elif zoom > 1.0 or seconds_per_T is not None:
+        raise ValueError("zoom, seconds_per_T: of a film or picture, save=<file.mp4 or file.png>")
     with ExitStack() as stack:
         folder = stack.enter_context(TemporaryDirectory(prefix="fishrl-"))
         path = Path(recording or save or f"{folder}/view.rrd").expanduser()
@@ -175,10 +190,16 @@ def main(
             if view.live:
                 url = stack.enter_context(closing(Server(port=view.port))).url
             given |= {"policy": policy, "episodes": episodes, "periods": periods}
+            given |= {"zoom": zoom, "seconds_per_T": seconds_per_T}
             with Progress() as progress:
                 endings = record(path, view=view, url=url, callback=progress, **given)
             for ending in endings:
                 print(ending)
+            if result := read_result(policy):
+                num = result["episodes"]
+                share = find_share(round(result["success_rate"] * num), num).show(".0%")
+                word = result.get("success") or "succeeded"
+                print(f"{word} in {share} of {num} episodes, its final evaluation")
             if save is not None:
                 print(f"written: {path}, {path.stat().st_size / 1e6:.2f} MB")
             if view.live:

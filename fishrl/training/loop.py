@@ -17,7 +17,7 @@ import torch
 from tensordict import TensorDictBase
 
 from fishrl.envs.agents import split_fish
-from fishrl.envs.episodes import Policy, name_counted, name_terms, run_episodes
+from fishrl.envs.episodes import Episodes, Policy, name_counted, name_terms, run_episodes
 from fishrl.settings import describe
 from fishrl.torch_state import in_own_state, one_thread
 from fishrl.training.baselines import make_baseline
@@ -184,7 +184,7 @@ class Training:
         """Evaluate the greedy policy and keep it if it is the best so far."""
         self.callbacks.on_phase("evaluation")
         actor, num, before = self.learner.actor, self.plan.eval_episodes, self.counters.best
-        metrics = self._evaluate(actor, num, seed=SELECTION_SEED, is_counted=False)
+        metrics = self._evaluate(actor, num, seed=SELECTION_SEED, is_counted=False).metrics()
         score = [metrics["success_rate"], metrics["mean_return"]]
         if score >= before:
             self.counters.best = score
@@ -240,14 +240,17 @@ class Training:
             policy: Policy = self.learner.actor
             if name:
                 policy = make_baseline(name, task=self.task, seed=FINAL_SEED)
-            result = self._evaluate(policy, num, seed=FINAL_SEED)
-            metrics |= {f"{name}_{key}" if name else key: value for key, value in result.items()}
+            episodes = self._evaluate(policy, num, seed=FINAL_SEED)
+            prefix = f"{name}_" if name else ""
+            metrics |= {f"{prefix}{key}": value for key, value in episodes.metrics().items()}
+            if not name:  # settings of fishrl view that show a typical episode
+                metrics["view"] = {"episodes": num, "shown_flows": [episodes.find_typical()]}
         return metrics
 
     def _evaluate(
         self, policy: Policy, num: int, *, seed: int, is_counted: bool = True
-    ) -> dict[str, float]:
-        """Return the metrics of one episode from each of ``num`` fixed starts.
+    ) -> Episodes:
+        """Run one episode from each of ``num`` fixed starts.
 
         A learned policy acts greedily; callbacks count the episodes if ``is_counted``. The flows
         continue as they were.
@@ -260,7 +263,7 @@ class Training:
                     fixed_starts(self.task, num, seed=seed),
                     on_step=lambda start_of, step: self.callbacks.on_step(step),
                     on_episodes=self.callbacks.on_progress if is_counted else None,
-                ).metrics()
+                )
         finally:
             self.callbacks.on_new_episodes()
 

@@ -21,6 +21,7 @@ from fishrl.physics import InPlaceSolver, Scales, compute_pressure
 if TYPE_CHECKING:
     import xarray as xr
 
+CONVENTIONS = {"Conventions": "CF-1.11"}
 #: Unit and description of each field.
 FIELDS = {
     "u": ("L/T", "velocity along x"),
@@ -80,12 +81,12 @@ def make_dataset(
     values = {name: value.numpy()[is_new] for name, value in series.items()}
     _, height, width = values["u"].shape
     axes = {
-        "time": ("time", values.pop("time"), _describe("time", "T")),
-        "y": ("y", np.arange(height) / body_length, _describe("y", "L") | {"axis": "Y"}),
-        "x": ("x", np.arange(width) / body_length, _describe("x", "L") | {"axis": "X"}),
+        "time": ("time", values.pop("time"), describe_unit("time", "T")),
+        "y": ("y", np.arange(height) / body_length, describe_unit("y", "L") | {"axis": "Y"}),
+        "x": ("x", np.arange(width) / body_length, describe_unit("x", "L") | {"axis": "X"}),
     }
     fields = {
-        name: (("time", "y", "x"), values.pop(name), _describe(text, unit))
+        name: (("time", "y", "x"), values.pop(name), describe_unit(text, unit))
         for name, (unit, text) in FIELDS.items()
     }
     outlines = {}
@@ -93,13 +94,13 @@ def make_dataset(
         what, points = "a body", name.replace("outline", "marker")
         if name.startswith("patch_"):
             what, points = "a finer grid", "corner"
-        words = _describe(f"closed outline of {what}, (x, y)", "L")
+        words = describe_unit(f"closed outline of {what}, (x, y)", "L")
         outlines[name] = (("time", points, "component"), value, words)
-    attributes = {"Conventions": "CF-1.11", "nodes_per_L": body_length, **(about or {})}
+    attributes = {**CONVENTIONS, "nodes_per_L": body_length, **(about or {})}
     return xr.Dataset({**fields, **outlines}, coords=axes, attrs=attributes)
 
 
-def _describe(text: str, unit: str) -> dict[str, str]:
+def describe_unit(text: str, unit: str) -> dict[str, str]:
     """Return CF attributes; the unit is part of the name, since CF reads L as litre, T as tesla."""
     return {"units": "1", "long_name": f"{text}, in {unit}"}
 

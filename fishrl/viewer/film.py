@@ -110,11 +110,13 @@ class FlowAxes:
         ]
         box = {"boxstyle": "round,pad=0.3", "facecolor": "white", "alpha": 0.85, "lw": 0}
         place: dict[str, Any] = {"transform": axes.transAxes, "va": "top", "bbox": box}
+        self.corner = np.zeros(2, np.float32)  # lower left one of what is shown
         self.clock = axes.text(0.015, 0.955, "", ha="left", **place)
         self.ending = axes.text(0.5, 0.955, "", ha="center", weight="bold", **place)
         axes.set(xlim=edges[:2], ylim=edges[2:], aspect="equal")
-        axes.set_xticks(np.arange(0, x / length + 0.01, space_ticks(x / length)))
-        axes.set_yticks(np.arange(0, y / length + 0.01, space_ticks(y / length)))
+        for ticks, nodes in ((axes.set_xticks, x), (axes.set_yticks, y)):
+            step = space_ticks(nodes / length / scene.zoom)
+            ticks(np.arange(0, nodes / length + 0.01, step))
         axes.tick_params(length=2.5)
 
     def add_colourbar(self, figure: Figure, axes: Any, **looks: Any) -> None:
@@ -127,6 +129,8 @@ class FlowAxes:
     def show(self, frames: Sequence[Frame]) -> None:
         """Show the last of some frames, and the path through all of them."""
         now = frames[-1]
+        if self.scene.zoom > 1.0:
+            self._follow(self._place(now.values[self.scene.curves[0].key]))
         self.image.set_data(now.values[self.scene.field.key].float().numpy())
         for update in self._updates:
             update(now)
@@ -134,6 +138,17 @@ class FlowAxes:
             path.set_data(*np.stack([self._place(frame.values[key]) for frame in frames]).T)
         self.clock.set_text(f"t = {now.time:.1f} T")
         self.ending.set_text("" if now.ending is None else now.ending.words)
+
+    def _follow(self, outline: NDArray[np.float32]) -> None:
+        """Show the part of the flow around a body, within its edges."""
+        scene = self.scene
+        nodes = np.array([scene.width, scene.height], np.float32)
+        size = nodes / scene.body_length / scene.zoom
+        margin, middle = 0.5 / scene.body_length, outline.mean(0)
+        last = nodes / scene.body_length - size - margin
+        self.corner = np.clip(middle - 0.5 * size, -margin, last)
+        (x0, y0), (x1, y1) = self.corner, self.corner + size
+        self.axes.set(xlim=(x0, x1), ylim=(y0, y1))
 
     def _place(self, points: Tensor) -> NDArray[np.float32]:
         """Return points in body lengths."""
@@ -147,7 +162,15 @@ class FlowAxes:
             looks |= {"facecolor": "none", "edgecolor": colour, "ls": "--", "lw": 0.7}
         body = Polygon(np.zeros((3, 2)), closed=True, **looks)
         self.axes.add_patch(body)
-        return lambda now: body.set_xy(self._place(now.values[curve.key]))
+        above: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 7, "clip_on": True}
+        name = self.axes.text(0, 0, curve.name, color=colour, zorder=5, **above)
+
+        def update(now: Frame) -> None:
+            outline = self._place(now.values[curve.key])
+            body.set_xy(outline)
+            name.set_position((float(outline[:, 0].mean()), float(outline[:, 1].max()) + 0.03))
+
+        return update
 
     def _add_goal(self, goal: Marks) -> Callable[[Frame], None]:
         """Add a point with its name and the circle of its reach."""
@@ -176,16 +199,18 @@ class FlowAxes:
             (0, 0), (0, 0), shrinkA=0, shrinkB=0, arrowstyle="-|>", mutation_scale=14, lw=2.0,
             color=FISH, zorder=5,
         )  # fmt: skip
-        text = self.axes.text(0, 0, "", ha="left", va="bottom", zorder=5)
+        text = self.axes.text(0, 0, "", ha="left", va="bottom", zorder=5, clip_on=True)
         self.axes.add_patch(shape)
 
         def update(now: Frame) -> None:
             vector = now.values.get(arrow.key, torch.zeros(2)).float()
-            at = now.values[arrow.at] if isinstance(arrow.at, str) else torch.tensor(arrow.at)
-            x, y = self._place(at)
+            if isinstance(arrow.at, str):
+                x, y = self._place(now.values[arrow.at])
+            else:  # of what is shown
+                x, y = self.corner + self._place(torch.tensor(arrow.at)) / self.scene.zoom
             dx, dy = self._place(arrow.scale * vector)
             shape.set_positions((x, y), (x + dx, y + dy))
-            text.set_position((x, y + 0.08))
+            text.set_position((x, y + 0.08 / self.scene.zoom))
             text.set_text(f"{arrow.name} {float(vector.norm()):.3g} {arrow.unit}")
             for artist in (shape, text):
                 artist.set_visible(bool(vector.any()))
@@ -238,6 +263,8 @@ class FramePainter:
             self._changing = sorted(
                 (part for part in parts if part is not axes.patch), key=methodcaller("get_zorder")
             )
+            if scene.zoom > 1.0:  # ticks move, too: everything is drawn for each frame
+                self._changing = []
             for artist in self._changing:  # all but ticks, their labels and the colour bar
                 artist.set_animated(True)
             self._canvas.draw()
@@ -256,8 +283,11 @@ class FramePainter:
         self._flow.show([*self._path, frame])
         points = {key: frame.values[key].clone() for key in self._trails}
         self._path.append(replace(frame, values=points))
-        self._canvas.restore_region(self._rest)
         with mpl.rc_context(STYLE):
+            if self._changing:
+                self._canvas.restore_region(self._rest)
+            else:
+                self._canvas.draw()
             for artist in self._changing:
                 self._flow.image.axes.draw_artist(artist)
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
@@ -298,8 +328,15 @@ def write_flow(recording: Recording, path: str | PathLike[str]) -> None:
             figure.savefig(stage)
 
 
-def write_film(recording: Recording, path: str | PathLike[str]) -> None:
+def write_film(
+    recording: Recording, path: str | PathLike[str], *, seconds_per_T: float | None = None
+) -> None:
     """Write the episode as an MP4 (H.264) or a GIF, using the ffmpeg of imageio-ffmpeg.
+
+    Args:
+        recording: the episode.
+        path: file to write.
+        seconds_per_T: duration of a period in the film; by default the film takes some ten seconds.
 
     Raises:
         ValueError: for a suffix that is not in ``FILMS``.
@@ -311,7 +348,9 @@ def write_film(recording: Recording, path: str | PathLike[str]) -> None:
     dpi, options = FILMS[suffix]
     painter = FramePainter(fit_colours(recording), dpi=dpi)
     width, height = (2 * (side // 2) for side in painter.size)  # H.264 wants even sides
-    fps = round(min(25.0, max(10.0, len(recording.frames) / _FILM_S)))
+    fps: float = round(min(25.0, max(10.0, len(recording.frames) / _FILM_S)))
+    if seconds_per_T is not None and (lasts_T := float(recording.time[-1])):
+        fps = (len(recording.frames) - 1) / (lasts_T * seconds_per_T)
     with staged(Path(path)) as stage:
         writer = imageio_ffmpeg.write_frames(
             str(stage), (width, height), fps=fps, macro_block_size=2, **options

@@ -1,10 +1,14 @@
-"""A table of what a fish did and felt, for a spreadsheet."""
+"""A table of what a fish did and felt, for a spreadsheet or xarray."""
+
+from __future__ import annotations
 
 import csv
 import io
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -12,6 +16,16 @@ from fishrl.envs import FlowEnv
 from fishrl.envs.extensions import HasFlowLabels, HasHistory, HasScene, find_extension
 from fishrl.envs.views import name_neuromasts
 from fishrl.files import write_whole
+from fishrl.viewer.fields import CONVENTIONS, describe_unit
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: Units of columns by the last word of their names; others are velocities.
+_UNITS = {
+    "bl": "L", "bend": "1/L", "frequency": "1/T", "pressure": "rho L2/T2", "p": "rho L2/T2",
+    "t": "T", "x": "L", "y": "L", "shear": "1/T",
+}  # fmt: skip
 
 
 def read_signals(env: FlowEnv) -> dict[str, Tensor]:
@@ -57,3 +71,25 @@ def write_table(columns: Mapping[str, Tensor], path: Path) -> None:
             lines.writerow(f"{value:.6g}" for value in row)
         last = row[0]
     write_whole(path, text.getvalue())
+
+
+def make_table(columns: Mapping[str, Tensor], *, about: Mapping[str, str | float]) -> xr.Dataset:
+    """Return columns ``[N]`` of ``read_signals`` by name over ``time``, without repeated times.
+
+    Args:
+        columns: values by name, in order of time.
+        about: attributes of the data set.
+    """
+    import xarray as xr
+
+    is_new = np.diff(columns["time_T"].numpy(), prepend=-np.inf) > 0.0
+    parts = {}
+    for name, column in columns.items():
+        words, unit = name.replace("_", " ").removesuffix(" bl"), name.rpartition("_")[2]
+        notes = describe_unit(words, _UNITS.get(unit, "L/T"))
+        if unit == "degrees":
+            notes = {"units": "degree", "long_name": "heading, counter-clockwise from +x"}
+        parts[name] = ("time", column.numpy()[is_new], notes)
+    _, times, _ = parts.pop("time_T")
+    axes = {"time": ("time", times, describe_unit("time", "T"))}
+    return xr.Dataset(parts, coords=axes, attrs={**CONVENTIONS, **about})

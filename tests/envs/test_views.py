@@ -83,6 +83,8 @@ def test_every_key_of_a_scene_can_be_read(kind: str) -> None:
     env.solver.set_populations_(swirl)
     scene, values = make_scene(task), read(env)
     assert list_keys(scene) <= set(values)
+    outlines = [curve.name for curve in scene.curves if curve.is_closed]
+    assert all(outlines) and len(set(outlines)) == len(outlines)
     assert tuple(field.key for field in scene.fields) == FIELDS
     assert all(len(value) == 2 for value in values.values())
     assert values["vorticity"].shape == (2, scene.height, scene.width)

@@ -85,6 +85,8 @@ def test_xarray_reads_netcdf_and_zarr(flow: Any, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("kinematic")
 def test_table_has_a_line_per_moment_and_columns_of_each_neuromast(tmp_path: Path) -> None:
+    import xarray as xr
+
     path = tmp_path / "signals.csv"
     words = ["policy=pid", "task=station-line-quick-v0", "periods=1", "frames_per_T=4"]
     export.main.run(export.main.read([*words, "flows.compile=false", f"save={path}"]))
@@ -99,6 +101,19 @@ def test_table_has_a_line_per_moment_and_columns_of_each_neuromast(tmp_path: Pat
     for line in lines:
         assert abs(line["nose_x_bl"] - line["x_bl"]) < 0.15  # two nodes from the skin, of 20
         assert abs(sum(line[f"{name}_pressure"] for name in names)) < 1e-4  # deviations
+    export.main.run(
+        export.main.read(
+            [*words, "flows.compile=false", f"save={path.with_suffix('.nc')}", "signals=true"]
+        )
+    )
+    with xr.open_dataset(path.with_suffix(".nc"), engine="h5netcdf") as read:
+        assert set(read.variables) == (lines[0].keys() - {"time_T"}) | {"time"}
+        assert read["time"].values == pytest.approx(times, rel=1e-5)
+        for name in ("heading_degrees", "left_2_pressure"):
+            assert read[name].values == pytest.approx([line[name] for line in lines], rel=1e-5)
+        assert read["heading_degrees"].attrs["units"] == "degree"
+        assert read["left_2_pressure"].attrs["long_name"] == "left 2 pressure, in rho L2/T2"
+        assert read.attrs["Conventions"] == "CF-1.11" and read.attrs["policy"] == "pid"
     write_table({"time_T": torch.tensor([0.0, 0.5, 0.5])}, path)
     assert path.read_text() == "time_T\n0\n0.5\n"
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import pytest
+from PIL import Image
 
-from fishrl.programs import view
+from fishrl.programs import stored_task, view
 from fishrl.programs.train_settings import TRAINING
 from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Server
@@ -36,15 +37,33 @@ def test_chosen_flows_are_recorded(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "/flow_0/" not in shown
 
 
-@pytest.mark.parametrize("ending", ["mp4", "gif"])
+@pytest.mark.parametrize("ending", ["mp4", "gif", "png"])
 def test_flow_is_filmed(ending: str, tmp_path: Path) -> None:
     film = f"{tmp_path}/x.{ending}"
-    words = ["policy=pursuit", "flows.compile=false", "periods=1"]
+    words = ["policy=pursuit", "flows.compile=false", "periods=1", "zoom=2", "seconds_per_T=1"]
     view.main([*words, f"save={film}"])
-    num_frames, _ = imageio_ffmpeg.count_frames_and_secs(film)
-    assert num_frames > 4
+    if ending == "png":
+        assert Image.open(film).width > 100
+    else:
+        num_frames, _ = imageio_ffmpeg.count_frames_and_secs(film)
+        assert num_frames > 15  # 20 in a second, as far as checks allow
     with pytest.raises(SystemExit, match="a film is of one flow"):
         view.main([*words, "episodes=2", f"save={film}"])
+
+
+def test_typical_start_of_a_policy_is_shown_unless_others_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    result = {"view": {"episodes": 24, "shown_flows": [5], "save": "x.rrd"}}
+    monkeypatch.setattr(stored_task, "read_result", lambda policy: result)
+    for words, expected in (
+        (["periods=3"], (24, (5,), None)),
+        (["seed=1"], (1, None, None)),
+        (["episodes=2"], (2, None, None)),
+        (["task.reynolds=400"], (1, None, None)),
+    ):
+        read = view.main.read(["policy=zoo/gait_bend", *words])
+        assert (read.episodes, read.shown_flows, read.save) == expected
 
 
 def test_path_alone_opens_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,6 +116,7 @@ def test_live_view_stays_until_interrupt(
             [*GAIT, "policy=pid", "save=x.rrd", "screenshot=nowhere/x.png"],
             "error: no folder nowhere: make it first",
         ),
+        (["policy=pid", "zoom=2", "save=x.rrd"], "error: zoom, seconds_per_T: of a film"),
         ([*GAIT, "policy=pid"], "error: no screen to open a window on: give save="),
     ],
 )

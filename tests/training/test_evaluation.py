@@ -38,5 +38,7 @@ def test_metrics_average_over_starts_and_time_over_successes() -> None:
     means = {"success_rate": 0.5, "mean_return": 7.0, "mean_length_T": 13.25}
     counts = {"episodes": 4, "diverged": 1}
     assert result.metrics() == means | counts | {"mean_time_to_success_T": 10.0}
+    for succeeded, start in (((1, 1, 1, 0), 2), ((0, 0, 1, 0), 0)):  # medians 24 and 16
+        assert replace(result, succeeded=torch.tensor(succeeded).bool()).find_typical() == start
     none = replace(result, succeeded=torch.zeros(4, dtype=torch.bool))
     assert math.isnan(none.metrics()["mean_time_to_success_T"])

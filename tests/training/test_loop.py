@@ -97,12 +97,12 @@ def test_final_evaluation_uses_the_best_checkpoint(
     num_captures = iter([1, 2, 9, 5, 3, 4, 0, 0, 0, 0])
     seen: list[dict[str, torch.Tensor]] = []
 
-    def scripted(policy: Any, *_: Any, **__: Any) -> dict[str, float]:
+    def scripted(policy: Any, *_: Any, **__: Any) -> Episodes:
         if policy is training.learner.actor:
             seen.append(deepcopy(policy.state_dict()))
         captured, zero = torch.arange(10) < next(num_captures), torch.zeros(10)
         ends = {"succeeded": captured, "terminated": captured, "diverged": zero.bool()}
-        return Episodes(returns=zero, lengths=zero, interval_T=1.0, **ends).metrics()
+        return Episodes(returns=zero, lengths=zero, interval_T=1.0, **ends)
 
     monkeypatch.setattr(training, "_evaluate", scripted)
     assert training.run()["best_checkpoint_frames"] == 120

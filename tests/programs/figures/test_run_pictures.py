@@ -7,6 +7,7 @@ from math import pi
 from pathlib import Path
 from typing import Any
 
+import imageio_ffmpeg
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -197,6 +198,28 @@ def test_partial_redraw_equals_whole_picture() -> None:
             whole._canvas.draw()
         assert np.array_equal(pictures[-1], np.asarray(whole._canvas.buffer_rgba())[..., :3])
     assert not np.array_equal(pictures[0], pictures[-1])
+
+
+def test_zoomed_picture_follows_the_fish_up_to_the_edges() -> None:
+    scene = dataclasses.replace(scenes.make_scene(), zoom=4.0)
+    flow = film.FlowAxes(Figure().subplots(), scene)
+    size = np.array([scene.width, scene.height]) / scene.body_length / 4.0
+    lowest, seen = -0.5 / scene.body_length, []
+    for shift in (0.0, -10.0, -1000.0):
+        frame = scenes.make_frame(0)
+        frame.values["fish"] += torch.tensor([shift, 0.0])
+        flow.show([frame])
+        (x0, x1), (y0, y1) = flow.axes.get_xlim(), flow.axes.get_ylim()
+        assert (x1 - x0, y1 - y0) == pytest.approx(tuple(size))
+        seen.append(0.5 * (x0 + x1) * scene.body_length)
+    assert seen[0] - seen[1] == pytest.approx(10.0) and x0 == pytest.approx(lowest)
+
+
+def test_film_lasts_as_long_as_its_speed_says(tmp_path: Path) -> None:
+    recording, path = make_recording(num_frames=9), tmp_path / "x.mp4"  # 2 T
+    film.write_film(recording, path, seconds_per_T=1.5)
+    _, seconds = imageio_ffmpeg.count_frames_and_secs(path)
+    assert seconds == pytest.approx(3.0 + 1.5, abs=0.4)  # and the last frame held
 
 
 def test_points_have_colours_of_their_values() -> None:
