@@ -9,8 +9,10 @@ from typing import Any
 import yaml
 
 from fishrl import __version__
+from fishrl.envs import AbstractTask
 from fishrl.files import claim, write_whole
 from fishrl.pages import write_csv, write_table
+from fishrl.settings import describe, flatten
 from fishrl.training.checkpoint import Checkpoint, save_checkpoint, write_sums
 from fishrl.training.logger import read_rows
 from fishrl.training.plan import Plan
@@ -18,6 +20,8 @@ from fishrl.training.policies import load_policy
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, read_config, read_summary, write_json
 
+#: Settings on the card, next to those of starts.
+_CONDITIONS = ("body_length", "reynolds", "stream.speeds_bl", "stream.diameter_bl")
 #: Results on the card, by their names in ``summary.json``.
 _RESULTS = {
     "success_rate": "success rate",
@@ -86,6 +90,19 @@ def _export(source: RunFolder, folder: Path, *, title: str | None, revision: str
     write_whole(folder / "README.md", card)
 
 
+def describe_conditions(task: AbstractTask) -> dict[str, str]:
+    """Return, for a card, what success is, and the conditions that the policy was trained in."""
+    limit_T = f"{task.time_limit * task.interval_T:.3g} T"
+    aim = f"`{task.success}` within {limit_T}" if task.success else f"lasts {limit_T}"
+    ranges = {
+        name: str(value).replace("'", "")
+        for name, value in flatten(describe(task)).items()
+        if name in _CONDITIONS or name.startswith("start_")
+    }
+    words = ", ".join(f"{name} {value}" for name, value in ranges.items())
+    return {"success, in training": aim, "trained in": words}
+
+
 def _shorten(cell: str) -> str:
     """Write a number of the learning curve to seven digits, single precision."""
     return f"{float(cell):.7g}" if "." in cell else cell
@@ -102,6 +119,7 @@ def _write_card(
         "algorithm": type(plan.algorithm).__name__,
         "seed": plan.seed,
         "env frames": f"{frames:,} of {plan.total_frames:,}",
+        **describe_conditions(plan.task),
         "recognition of the flow": labels,
         "exported with fishrl": " ".join(filter(None, (__version__, revision))),
     }
@@ -129,7 +147,8 @@ Final evaluation from fixed starts that were not used to choose it:
 ```yaml
 {settings}```
 
-`fishrl.training.load_policy(<this folder>)` loads the policy.
+`fishrl.training.load_policy(<this folder>)` loads the policy; `fishrl score policy=<this folder>
+task=<frozen task>` scores it on held-out starts.
 """
 
 
