@@ -48,9 +48,10 @@ def read_row(path: Path) -> Row:
 
 
 def list_rows(task: str, split: str) -> list[Row]:
-    """Return the stored rows of a split."""
-    rows = [read_row(path) for path in sorted((FOLDER / "scores" / task).glob("*.json"))]
-    return [row for row in rows if row.split == split]
+    """Return the stored rows of a split, those of random actions and controller, too."""
+    folders = [FOLDER / "scores" / name for name in (task, find_version(task).references) if name]
+    rows = [read_row(path) for folder in folders for path in sorted(folder.glob("*.json"))]
+    return [r for r in rows if r.split == split and (r.task == task or r.kind == "baseline")]
 
 
 def find_ends(rows: Sequence[Row]) -> tuple[float, float] | None:

@@ -43,6 +43,8 @@ class Version:
     held_out: Mapping[str, Any]  #: settings that differ in validation and test
     settings: str  #: checksum of the settings of the task
     starts: Mapping[str, str]  #: checksums of the starts of each split
+    #: version with the same flows and starts, other senses: its random actions and controller count
+    references: str | None = None
 
     @property
     def task(self) -> AbstractTask:

@@ -17,10 +17,14 @@ from fishrl.training.export import export_policy
 
 
 def read_revision() -> str | None:
-    """Return the commit of this code, or None where it is not a git checkout."""
-    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
-    return done.stdout.strip() or None
+    """Return the commit of this code; None where it is no git checkout, or has been changed."""
+    git = ["git", "-C", str(Path(__file__).parents[1])]
+
+    def ask(*words: str) -> str:
+        return subprocess.run([*git, *words], check=False, capture_output=True, text=True).stdout
+
+    is_changed = ask("status", "--porcelain", ".", ":!benchmark/scores")
+    return None if is_changed else ask("rev-parse", "HEAD").strip() or None
 
 
 def send(folder: Path, repository: str) -> str:

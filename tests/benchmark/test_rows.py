@@ -1,5 +1,6 @@
 """Scores between random actions and a controller; stored rows are of the frozen tasks."""
 
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -64,3 +65,13 @@ def test_stored_rows_are_of_the_frozen_tasks() -> None:
         row = read_row(path)
         assert row.task == path.parent.name in list_versions()
         assert row.kind == "baseline" or row.trained_decisions is not None
+
+
+def test_stored_rows_were_scored_at_commits_of_this_history() -> None:
+    git = ["git", "-C", str(FOLDER)]
+    asked = [*git, "rev-parse", "--is-shallow-repository"]
+    if subprocess.run(asked, capture_output=True, text=True).stdout.strip() != "false":
+        pytest.skip("needs the whole history")
+    for commit in {read_row(path).commit for path in FOLDER.glob("scores/*/*.json")}:
+        asked = [*git, "merge-base", "--is-ancestor", str(commit), "HEAD"]
+        assert subprocess.run(asked, capture_output=True).returncode == 0, commit

@@ -5,7 +5,7 @@ import hashlib
 import pytest
 import torch
 
-from fishrl.benchmark import SPLITS, compare, find_version, identify, list_versions
+from fishrl.benchmark import SPLITS, compare, find_version, identify, list_rows, list_versions
 from fishrl.benchmark.versions import read_draws, sum_settings
 from fishrl.envs import make_task
 from fishrl.presets import list_names
@@ -28,6 +28,12 @@ def test_settings_and_starts_are_as_frozen(name: str) -> None:
         task, starts = version.hold_out(split)
         assert starts.shape == (num,)
         assert {*compare(task, version.task)} <= {*version.held_out}
+    if version.references is not None:  # what the fish senses changes neither flows nor starts
+        other = find_version(version.references)
+        assert compare(version.task, other.task) == ["observes"]
+        for field in ("measure", "controller", "held_out", "starts"):
+            assert getattr(version, field) == getattr(other, field)
+        assert {row.policy for row in list_rows(name, "test")} >= {"random", version.controller}
 
 
 def test_held_out_draws_come_from_a_hash_that_no_seed_gives() -> None:
