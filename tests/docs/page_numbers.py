@@ -20,6 +20,12 @@ C_START, CHANGING, SEVERAL = (
     "tasks/several_fish.md",
 )
 SENSES, GAIT, PREDATION = "tasks/senses.md", "tasks/karman_gait.md", "tasks/predation.md"
+#: Pages that conclude from results.
+PAGES = (
+    *(RESULTS, RESOLUTION, ALGORITHMS, SPEED, README, STREAM, BODY),
+    *(C_START, CHANGING, SEVERAL, SENSES, GAIT, PREDATION),
+    *("tutorials/cylinder.md", "tutorials/lateral_line.md", "theory.md", "benchmark.md"),
+)
 
 Numbers = Sequence[float]
 
@@ -107,6 +113,12 @@ def count_lasting(table: str, policy: str) -> list[float]:
     lasted = column("karman_gait", table, "lasted, %", policy=policy)
     each = [round(n * share / 100) for n, share in zip(num, lasted, strict=True)]
     return [sum(num) - sum(each), sum(num)]
+
+
+def lasted(table: str, stream: str) -> float:
+    """Return the mean duration without modules in a stream, T."""
+    of = {"policy": "ablation", "stream,_L/T": stream}
+    return fmean(column("karman_gait", table, "duration, T", **of))
 
 
 def follow(table: str, who: str, name: str) -> list[float]:

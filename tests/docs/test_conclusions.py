@@ -6,34 +6,24 @@ A conclusion is a sentence with a word of ``CONCLUDING``. Each one on ``PAGES`` 
 
 import re
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
-from tests.docs.held_conclusions import HELD
-from tests.docs.named_numbers import NAMED
-from tests.docs.page_numbers import (
-    ALGORITHMS,
-    BODY,
-    C_START,
-    CHANGING,
-    DOCS,
-    GAIT,
-    PREDATION,
-    README,
-    RESOLUTION,
-    RESULTS,
-    SENSES,
-    SEVERAL,
-    SPEED,
-    STREAM,
-    Numbers,
-    find,
-    match_words,
-    read,
-)
+from tests.docs.conclusions import HELD, NAMED
+from tests.docs.page_numbers import DOCS, PAGES, Numbers, find, match_words, read
 
 
-@pytest.mark.parametrize(("page", "words", "compute"), NAMED, ids=[words for _, words, _ in NAMED])
+def _list(entries: dict[str, dict[str, Any]]) -> list[Any]:
+    """Return page, words and function of each conclusion, named by its words."""
+    return [
+        pytest.param(page, words, check, id=words)
+        for page, conclusions in entries.items()
+        for words, check in conclusions.items()
+    ]
+
+
+@pytest.mark.parametrize(("page", "words", "compute"), _list(NAMED))
 def test_numbers_of_a_conclusion_follow_from_others(
     page: str, words: str, compute: Callable[[], Numbers]
 ) -> None:
@@ -43,18 +33,12 @@ def test_numbers_of_a_conclusion_follow_from_others(
         assert abs(value - float(text)) <= 0.5 * 10.0**-digits + 1e-9, f"{words}: {value}"
 
 
-@pytest.mark.parametrize(("page", "words", "holds"), HELD, ids=[words for _, words, _ in HELD])
+@pytest.mark.parametrize(("page", "words", "holds"), _list(HELD))
 def test_conclusion_holds_for_its_numbers(page: str, words: str, holds: Callable[[], bool]) -> None:
     assert not find(page, words)
     assert holds()
 
 
-#: Pages that conclude from results.
-PAGES = (
-    *(RESULTS, RESOLUTION, ALGORITHMS, SPEED, README, STREAM, BODY),
-    *(C_START, CHANGING, SEVERAL, SENSES, GAIT, PREDATION),
-    *("tutorials/cylinder.md", "tutorials/lateral_line.md", "theory.md", "benchmark.md"),
-)
 #: Words of comparisons, and of sizes without a number.
 CONCLUDING = re.compile(
     r"\b(nearly|hardly|twice|doubles|halves|better|worse|ahead|longer|shorter|farther|slower|faster"
@@ -107,7 +91,7 @@ def list_sentences(page: str) -> list[str]:
 @pytest.mark.parametrize("page", PAGES)
 def test_every_conclusion_is_checked(page: str) -> None:
     text = read(page)
-    found = [match_words(text, words) for where, words, _ in (*NAMED, *HELD) if where == page]
+    found = [match_words(text, words) for words in (*NAMED.get(page, ()), *HELD.get(page, ()))]
     spans = [match.span() for match in found if match]
     open_ends = []
     for sentence in filter(CONCLUDING.search, list_sentences(page)):

@@ -1,0 +1,356 @@
+"""Conclusions of pages, and the numbers they follow from."""
+
+import re
+from collections.abc import Callable
+from math import log2
+from statistics import fmean
+
+from scipy import stats
+
+from experiments.benchmarks.accuracy import extrapolate
+from studies import claims
+from studies.tables import read_data
+from tests.docs.page_numbers import (
+    ALGORITHMS,
+    BEHIND,
+    BODY,
+    C_START,
+    CHANGING,
+    DISTANCE,
+    DOCS,
+    EXTRAPOLATED,
+    FAST,
+    GAIT,
+    OWN,
+    PREDATION,
+    PRINTED,
+    README,
+    RELATIVE,
+    RESOLUTION,
+    RESULTS,
+    SEEN,
+    SENSE,
+    SENSES,
+    SEVERAL,
+    SPEED,
+    STREAM,
+    WORK,
+    Numbers,
+    arm,
+    column,
+    compare,
+    count_lasting,
+    find,
+    find_line,
+    find_row,
+    find_rows,
+    follow,
+    forces,
+    gain,
+    is_above,
+    last,
+    lasted,
+    list_verdicts,
+    measured,
+    off,
+    overlap,
+    read,
+    scatter,
+    swim,
+    swim_blurred,
+    swum,
+    taught,
+)
+
+#: By page: what it concludes, with ``#`` for each number, and the numbers that it should name.
+NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
+    RESOLUTION: {
+        "#, #, #, # and # % below the limit": lambda: [
+            -off(speed, extrapolate(*list(swum().values())[-3:])) for speed in swum().values()
+        ],
+        "speed at L = 100 by # %, mean drag at D = 20 by # % and lift amplitude by # %": lambda: [
+            off(measured("compressibility", f"{what}: default speed / half of it"), 1.0)
+            for what in (
+                "swimming speed, L = 100",
+                "mean drag of the cylinder",
+                "lift of the cylinder",
+            )
+        ],
+        "lift amplitude # % low": lambda: [
+            -off(
+                measured("channel-cylinder", "C_l,max, Re = 100", "D = 20"),
+                measured("channel-cylinder", "C_l,max, Re = 100"),
+            )
+        ],
+        "adds # %, # % and # % and halves": lambda: [
+            off(FAST[what]["0.14 nodes per step"], FAST[what]["0.07 nodes per step"])
+            for what in ("swim", "drag", "lift")
+        ],
+        "which is itself # % (Re = 500) to # % (Re = 7142) slower than the limit": lambda: [
+            100.0 * (1.0 - swim(100, column)) for column in (0, 1)
+        ],
+    },
+    BODY: {
+        "the two drags differ by # %": lambda: [
+            off(*map(float, find(BODY, "drag #, lift 0.446; immersed boundary #")))
+        ],
+    },
+    RESULTS: {
+        "a fish of 32 nodes swims at # to # of its converged speed and one of 50 nodes at # "
+        "to #": lambda: [swim(length, column) for length in (32, 50) for column in (1, 0)],
+        "with the immersed boundary at # and at #": lambda: [swim_blurred(32), swim_blurred(50)],
+        "diverged (below # % with": lambda: [100.0 * (1.0 - 0.05 ** (1 / 512))],
+        "Ours fails then in # of # episodes at L = 64 and # of # at L = 100": lambda: [
+            *count_lasting("sharp_64", "ablation"),
+            *count_lasting("sharp_100", "ablation"),
+        ],
+    },
+    C_START: {
+        "covers # body lengths in 2.7 T on the finest grid, "
+        "# % more than in the authors' code": lambda: [
+            measured("c-start", "distance after 2.7 T, L"),
+            off(measured("c-start", "distance after 2.7 T, L"), 1.15),
+        ],
+        "carry it # % farther on that grid, with # % less work": lambda: [
+            gain("192", DISTANCE),
+            -gain("192", WORK),
+        ],
+        "as the grid is refined: #, # and # % more distance with #, # and # % less work": lambda: [
+            *(gain(grid, DISTANCE) for grid in ("48", "96", "192")),
+            *(-gain(grid, WORK) for grid in ("48", "96", "192")),
+        ],
+    },
+    CHANGING: {
+        "recognises # % of the time": lambda: [find_row(CHANGING, "current signal only")[3]],
+        "both modules last # T longer than five without": lambda: [
+            column("changing_streams", "trained", "mean survival, T", labels_from="memory 0.7")[0]
+            - column("changing_streams", "trained", "mean survival, T", labels_from="ablation")[0]
+        ],
+        "with which a fish of 32 nodes swims at # of its converged speed": lambda: [
+            swim_blurred(32)
+        ],
+    },
+    SEVERAL: {
+        "learned policies need # of the work per distance that a hand-crafted controller "
+        "needs without a leader, and the controller itself # of it": lambda: [
+            follow("followers", who, RELATIVE)[0] for who in BEHIND
+        ],
+        "exploits it better: it settles # L behind the leader, where the work is least, the "
+        "learned ones at # to # L": lambda: [
+            follow("followers", BEHIND[1], "mean x, L")[0],
+            min(follow("followers", "seed", "mean x, L")[:3]),
+            max(follow("followers", "seed", "mean x, L")[:3]),
+        ],
+        "learned ones were ahead, # against #": lambda: [
+            follow("immersed", who, RELATIVE)[0] for who in BEHIND
+        ],
+        "contact may be chance (p = #, Fisher's exact test)": lambda: [
+            stats.fisher_exact([[11, 96 - 11], [18, 96 - 18]]).pvalue
+        ],
+        "the follower swims # % slower than at L = 100, for # % more power": lambda: [
+            sign * float(number.replace("−", "-"))
+            for sign, number in zip(
+                (-1, 1), re.findall(r"[−+]\d+(?= %)", find_line("`follower_small`")), strict=True
+            )
+        ],
+    },
+    GAIT: {
+        "they beat at # to # times that frequency and are in gait for # % of the time": lambda: [
+            min(column("karman_gait", "station", "beat / shedding", policy="both modules")),
+            max(column("karman_gait", "station", "beat / shedding", policy="both modules")),
+            fmean(column("karman_gait", "station", "in gait, %", policy="both modules")),
+        ],
+        "all # episodes last and are always in gait": lambda: [
+            sum(column("karman_gait", "L100", "episodes", label="classifier"))
+        ],
+    },
+    PREDATION: {
+        "between the skins** (# ± # against # ± # %) "
+        "is within the scatter of three seeds": lambda: [
+            *scatter(find_row(PREDATION, "food on the paper's path", "50")[:3]),
+            *scatter(column("predation", "small", "learned, %")),
+        ],
+        "A memory of four observations adds # points to one of the latest alone, 95 % "
+        "interval [#, #]: not resolved": lambda: compare(
+            *(
+                [float(row["captured of 96, %"]) for row in read_data("predation", "memory")][part]
+                for part in (slice(5), slice(5, 10))
+            )
+        ),
+        "from # ± # % (interception # %), and from # ± # % if it is faster (# %)": lambda: [
+            number
+            for name in ("tilted more, % of 96", "faster, % of 96")
+            for number in (
+                *scatter(column("predation", "held_out", name, policy="learned, 4 observations")),
+                column("predation", "held_out", name, policy="interception, which knows the path")[
+                    0
+                ],
+            )
+        ],
+    },
+    README: {
+        "# cases against exact solutions and published results; # of # acceptance criteria "
+        "are met": lambda: [
+            len(list(DOCS.glob("validation/*.json"))),
+            sum(verdict == "pass" for verdict in list_verdicts()),
+            sum(verdict != "recorded" for verdict in list_verdicts()),
+        ],
+        "takes # µs and a tail beat # s (192 × 96 nodes), at L = 50 in the tank # s, at L = 100 "
+        "with the paper's immersed boundary # s": lambda: [
+            find_row(SPEED, "gait_bend, 192 × 96", "now")[0],
+            *(
+                find_row(SPEED, case, "now")[-1]
+                for case in ("gait_bend, 192 × 96", "small, 500 × 250", "paper, 1000 × 500")
+            ),
+        ],
+    },
+    STREAM: {
+        "= # N per metre of depth": lambda: [1000 * 0.04**3 * 3**2],
+    },
+}
+
+#: By page: what it concludes in words, and whether its numbers say so.
+HELD: dict[str, dict[str, Callable[[], bool]]] = {
+    STREAM: {
+        "Released, the anguilliform fish would swim upstream, the carangiform one, whose "
+        "tail moves less, drift downstream.": lambda: forces(PRINTED)[0] < 0.0 < forces(PRINTED)[1],
+        "The immersed boundary keeps the order but not the sign": lambda: (
+            0.0 < forces("not the sign: # and #")[0] < forces("not the sign: # and #")[1]
+        ),
+    },
+    RESOLUTION: {
+        "Resolve an obstacle by 20 nodes (drag within 1 %": lambda: all(
+            abs(off(measured("channel-cylinder", f"C_d{of}", "D = 20"), reference)) < 1.0
+            for of, reference in ((", Re = 20", 5.5795), (",max, Re = 100", 3.23))
+        ),
+        "Random turns of ±15° at Re = 7000 never diverged at L = 50 and 100.": lambda: all(
+            measured("stability", f"share of diverged episodes, {of}") == 0.0
+            for of in ("small, L = 50", "paper, L = 100")
+        ),
+    },
+    BODY: {
+        "20 nodes across the body give the drag within 1 %": lambda: (
+            abs(off(measured("channel-cylinder", "C_d, Re = 20", "D = 20"), 5.5795)) < 1.0
+        ),
+    },
+    RESULTS: {
+        "**Controllers are better** in predation and behind a leader, and as good in station "
+        "holding, in changing streams and with two fish.": lambda: (
+            is_above(find_row(PREDATION, "food on the paper's path", "50"), best=4, than=slice(3))
+            and follow("followers", BEHIND[1], RELATIVE) < follow("followers", BEHIND[0], RELATIVE)
+            and count_lasting("station", "pid")[0] <= 1
+            and overlap(CHANGING, "memory 0.7 (default)", "true label: PID controller")
+            and abs(find_row(SEVERAL, "`predation_pair`", "learned, 1 seed")[1] - 80) < 5
+        ),
+        "Policies are better at staying in gait; "
+        "in the C-start a search beats the published": lambda: (
+            "(in gait 60–95 % of the time) | 100 % (in gait 37–42 %)" in read(RESULTS)
+            and gain("192", DISTANCE) > 0.0
+        ),
+        "**Modules are rarely necessary.** The paper's fish fails without lateral line": lambda: (
+            max(map(float, read_data("reproduction", "small")[1]["paper"].split(", "))) < 40.0
+            and count_lasting("station", "ablation")[0] < 0.15 * 306
+            and count_lasting("sharp_64", "ablation")[0] < 0.5 * 36
+        ),
+        "though the lateral line doubles their time": lambda: (
+            1.75 < arm("lateral line") / arm("nothing") < 2.5
+        ),
+        "**Learned labels do not prolong survival** in changing streams, and no policy "
+        "outlasts the PID controller under nine new conditions": lambda: (
+            overlap(CHANGING, "memory 0.7 (default)", "none: ablation")
+            and len({row["condition"] for row in read_data("robustness", "conditions")}) == 10
+            and max(column("robustness", "conditions", "beyond pid, T low")) <= 0.0
+        ),
+        "At L = 64 the larger Mach number alone "
+        "makes policies fail with and without modules": lambda: all(
+            (float(row["survival at 1, 1.25, 1.5 L/T, T"].split(", ")[2]) < 50)
+            == (row["evaluated at Mach"] == "0.26")
+            for row in read_data("karman_gait", "mach")
+        ),
+        "are smaller than ours, which leave out the work of the torque": lambda: all(
+            float(row["paper's ratio"]) < float(row["lateral: ratio"])
+            for row in read_data("karman_gait", "work")
+        ),
+    },
+    C_START: {
+        "grows at first order towards 1.35 L": lambda: (
+            0.8 < log2((1.0931 - 0.78992) / (1.2326 - 1.0931)) < 1.2
+            and round(measured("c-start", EXTRAPOLATED), 2) == 1.35
+        ),
+    },
+    CHANGING: {
+        "no source of labels changes how long the fish lasts.": lambda: overlap(
+            CHANGING,
+            *("true label", "memory 0.7 (default)", "memory 1, no forgetting"),
+            *("current signal only", "always the middle flow", "none: ablation"),
+        ),
+        "Without it, the label is right less often than a constant one.": lambda: (
+            find_row(CHANGING, "memory 1, no forgetting")[3]
+            < find_row(CHANGING, "always the middle flow")[3]
+        ),
+        "**The goal is missed:** to recognise 95 % of the changes within 2 T.": lambda: (
+            claims.check_changing_streams() is None
+        ),
+    },
+    SEVERAL: {
+        "two fish that share one policy catch food about as "
+        "often as two hand-crafted pursuers.": lambda: (
+            stats.fisher_exact([[76, 20], [77, 19]]).pvalue > 0.5
+        ),
+        "Alone in the same stream the learned policies need as much work as *keep_place*, so "
+        "their saving comes from the wake.": lambda: claims.check_following() is None,
+    },
+    SENSES: {
+        "A blind one does as well with its lateral line, once it imitates the first": lambda: (
+            min(last("imitation", SENSE)) >= 17 > 18 - 2 and max(last("imitation", OWN)) <= 2
+        ),
+        "learning then equals a tuned controller": lambda: (
+            min(find_row(SENSES, "SAC", "place, drift, heading, own motion")[2:]) > 28.0
+        ),
+        "a blind fish that imitates lasts as long as its teacher": lambda: (
+            taught("own motion, lateral line") > 0.95 * taught("teacher: " + SEEN)
+        ),
+        "is neither enough nor needed.": lambda: (
+            taught("own motion, label") < 0.5 * taught("own motion, lateral line")
+        ),
+    },
+    GAIT: {
+        "for a net work of nearly zero": lambda: (
+            max(map(abs, find_row(GAIT, "32", "with classifier and macro-actions")[-2:]))
+            < min(find_row(GAIT, "32", "without both (ablation)")[-2:])
+        ),
+        "falls back in fast streams at L = 64 and 100": lambda: all(
+            lasted(table, "1.5") < lasted(table, "1") for table in ("sharp_64", "sharp_100")
+        ),
+        "takes more energy from the fish than the muscles exchange net": lambda: all(
+            -torque > abs(muscles)
+            for muscles, _, torque, _ in (
+                find_row(GAIT, "`gait_narrow`, L = 64", "1"),
+                *(rows[1] for rows in (find_rows(GAIT, "", "1.25"), find_rows(GAIT, "", "1.5"))),
+            )
+        ),
+    },
+    ALGORITHMS: {
+        "SAC converges significantly faster than DRQN; its lead over DQN and double DQN is "
+        "not significant.": lambda: claims.check_algorithms() is None,
+    },
+    SPEED: {
+        "all are missed by a little, but 2.8 for step / collision of `gait_bend` is met.": lambda: (
+            find_row(SPEED, "gait_bend, 192 × 96", "now")[6] <= 2.8
+            and all(
+                goal < find_row(SPEED, case, "now")[7] < 1.25 * goal
+                for case, goal in (
+                    ("gait_bend, 192 × 96", 0.23),
+                    ("gait_small, 320 × 160", 0.35),
+                    ("small, 500 × 250", 0.53),
+                )
+            )
+        ),
+        "Both goals are missed.": lambda: (
+            find_row(SPEED, "collision alone")[-1] > find_row(SPEED, "collision alone")[-2]
+            and (lambda row: row[-1] > row[-2])(
+                find_row(SPEED, "with a fish in each, immersed boundary")
+            )
+        ),
+    },
+}
