@@ -11,7 +11,7 @@ import pytest
 from fishrl.envs import AbstractTask, Flows
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.views import make_scene
-from tests.docs.pages import PAGES, count_lines, list_pages, read_blocks
+from tests.docs.pages import DOCS, PAGES, count_lines, list_pages, read_blocks
 from tests.envs.conftest import SMALL, make_streams
 from tests.envs.test_real_flow import TINY
 
@@ -72,8 +72,16 @@ def test_first_examples_stay_short() -> None:
     assert (task.file, yaml.file) == ("hold_station.py", "conf/task/hold_station.yaml")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+LINKED = [*PAGES, *sorted(DOCS.parent.glob("studies/*/README.md"))]
+
+
+@pytest.mark.parametrize("page", LINKED, ids=lambda page: f"{page.parent.name}/{page.name}")
 def test_links_of_page_exist(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#\s]+)", text):
-        assert "://" in target or (page.parent / target).exists(), target
+    links = re.findall(r"\]\(([^)#\s]*)(?:#([^)]+))?\)", page.read_text(encoding="utf-8"))
+    for target, anchor in links:
+        path = page.parent / target if target else page
+        assert "://" in target or path.exists(), target
+        if anchor and path.suffix == ".md" and "://" not in target:
+            heads = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+            slugs = [re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads]
+            assert anchor in slugs, f"{target}#{anchor}"

@@ -9,12 +9,6 @@ from studies import claims
 from studies.tables import STUDIES, TABLE, fill
 
 NAMES = sorted(path.parent.name for path in STUDIES.glob("*/README.md"))
-LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)]+))?\)")
-
-
-def list_anchors(page: str) -> set[str]:
-    heads = re.findall(r"^#+ (.*)$", page, re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
 
 
 @pytest.mark.parametrize("study", NAMES)
@@ -31,16 +25,6 @@ def test_page_has_picture_or_table_command_commit(study: str) -> None:
     assert re.search(r"^!\[.+\]\(.+\.png\)$|^<!-- table: ", page, re.MULTILINE)
     assert re.search(r"^python (-m )?(experiments|tests|examples)[./]\w+", page, re.MULTILINE)
     assert re.search(r"commits? [0-9a-f]{7}\b", page)
-
-
-@pytest.mark.parametrize("study", NAMES)
-def test_links_of_page_exist(study: str) -> None:
-    folder = STUDIES / study
-    for target, anchor in LINK.findall((folder / "README.md").read_text(encoding="utf-8")):
-        path = folder / (target or "README.md")
-        assert path.is_file(), target
-        if anchor and path.suffix == ".md":
-            assert anchor in list_anchors(path.read_text(encoding="utf-8")), f"{target}#{anchor}"
 
 
 @pytest.mark.parametrize("study", NAMES)
