@@ -16,7 +16,7 @@ import torch
 from matplotlib.figure import Figure
 
 from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
-from experiments.validation.wake import draw_vorticity
+from experiments.validation.wake import draw_vorticity, record
 from fishrl.physics import (
     C_START,
     Boundaries,
@@ -79,19 +79,15 @@ def escape(
     middle = torch.full((1, 2), 0.5 * (side - 1), dtype=torch.float64)
     heading = torch.full((1,), pi, dtype=torch.float64)
     solver.reset_(torch.ones(1, dtype=torch.bool), middle, heading)
-    body, path, work = solver.body, [torch.zeros_like(middle)], [0.0]
-    for _ in range(PARTS):
-        solver.advance_(part)
-        path.append((body.position - middle) / body_length)
-        work.append(float(body.work * (period**2 / body_length**4)))
-    if solver.is_diverged().any():
-        raise RuntimeError(f"the flow diverged at L = {body_length}: give more steps")
+    body = solver.body
+    path, work = record(solver, PARTS, part, lambda: (body.position[0], body.work[0]))
+    path = (path - middle) / body_length
     half, centre = round(WINDOW * body_length), side // 2
     inside = slice(centre - half, centre + half, max(1, body_length // 48))
     field = compute_vorticity(solver.macroscopic()[1])[0, inside, inside] * period
     return {
-        "path": torch.cat(path).tolist(),
-        "work": work,
+        "path": path.tolist(),
+        "work": (work * (period**2 / body_length**4)).tolist(),
         "distance": float(path[-1].norm(dim=-1)),
         "vorticity": [[round(value, 2) for value in line] for line in field.double().tolist()],
         "outline": ((solver.markers()[0] - middle) / body_length).tolist(),
@@ -121,28 +117,23 @@ def judge(runs: Runs) -> Iterator[Check]:
     power = "work of the muscles, ρ L⁴ / T²"
     yield check_refined("L", power, work, PUBLISHED[-1][2], theirs, note=note)
     for name, (changes, limit) in VARIANTS.items():
-        run, base = runs.get(body_length=VARIANT_SIZE, **changes), distance.get(VARIANT_SIZE)
-        if run and base:
-            yield Check(
-                f"change of the distance, {name}",
-                run["distance"] / base - 1.0,
-                None if limit is None else (-limit, limit),
-                "own criterion: the distance hardly depends on it",
-                resolution=f"L = {VARIANT_SIZE}",
-            )
-    if len(distance) == len(SIZES):
-        low, middle, high = distance.values()
-        ratio = (middle - low) / (high - middle)
-        yield Check(
-            f"{quantity}, extrapolated to an infinitely fine grid",
-            high + (high - middle) / (ratio - 1.0),
-            resolution=f"L = {SIZES[0]}–{SIZES[-1]}",
-            note=(
-                f"Doubling L from {SIZES[0]} and {SIZES[1]} changes it by {middle - low:.3f} and "
-                f"{high - middle:.3f} L, a ratio of {ratio:.2f}. At L = {SIZES[0]} the tail is "
-                "hardly two nodes thick."
-            ),
-        )
+        changed = runs.get(body_length=VARIANT_SIZE, **changes)["distance"]
+        change, at = changed / distance[VARIANT_SIZE] - 1.0, f"L = {VARIANT_SIZE}"
+        limits = None if limit is None else (-limit, limit)
+        source = "own criterion: the distance hardly depends on it"
+        yield Check(f"change of the distance, {name}", change, limits, source, resolution=at)
+    low, middle, high = distance.values()
+    ratio = (middle - low) / (high - middle)
+    yield Check(
+        f"{quantity}, extrapolated to an infinitely fine grid",
+        high + (high - middle) / (ratio - 1.0),
+        resolution=f"L = {SIZES[0]}–{SIZES[-1]}",
+        note=(
+            f"Doubling L from {SIZES[0]} and {SIZES[1]} changes it by {middle - low:.3f} and "
+            f"{high - middle:.3f} L, a ratio of {ratio:.2f}. At L = {SIZES[0]} the tail is "
+            "hardly two nodes thick."
+        ),
+    )
 
 
 def draw(figure: Figure, runs: Runs) -> None:
@@ -162,7 +153,6 @@ def draw(figure: Figure, runs: Runs) -> None:
     for end in (0.7, 1.7):
         right.axvline(end, color="grey", linewidth=0.7)
     right.set(xlabel="time  t / T", ylabel="distance of the centre of mass  [L]")
-    right.legend()
 
 
 SOURCE = (

@@ -63,10 +63,10 @@ class Runs:
         """Return one entry of the results of ``by``."""
         return {value: run[key] for value, run in self.by(name, **arguments).items()}
 
-    def get(self, **arguments: Any) -> Result | None:
-        """Return the run with these arguments, or None."""
+    def get(self, **arguments: Any) -> Result:
+        """Return the run with these arguments."""
         name, value = next(iter(arguments.items()))
-        return self.by(name, **arguments).get(value)
+        return self.by(name, **arguments)[value]
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,8 @@ class Case:
         source: source of the reference values.
         jobs: the runs.
         judge: yields the checks of the finished runs, which may be the quick ones only.
-        draw: draws results and reference into an empty figure.
+        draw: draws results and reference into an empty figure. Axes with named lines get a legend,
+            unless it draws one.
         size: width and height of the figure, inches.
         headline: quantity of the check in the summary table; by default the first check.
     """

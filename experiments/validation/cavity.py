@@ -123,7 +123,8 @@ def draw(figure: Figure, runs: Runs) -> None:
             (row[1], "v", "x / L", "horizontal", GHIA[3:]),
         ):
             for size, is_half_way, style in LINES:
-                if run := runs.get(size=size, reynolds=reynolds, is_half_way=is_half_way):
+                given = {"reynolds": reynolds, "is_half_way": is_half_way}
+                if run := runs.by("size", **given).get(size):
                     name = f"{WALLS[is_half_way]}, N = {size}"
                     axes.plot(run["position"], run[key], style, label=name)
             values = columns[list(SPECTRAL).index(reynolds)]

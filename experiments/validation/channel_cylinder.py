@@ -93,15 +93,9 @@ def run_channel(
         sides=NoSlip(),
     )
     solver.set_populations_(_develop_channel(width, height, speed, solver.config.nu))
-    result = wake.measure_wake(
-        solver,
-        diameter=diameter,
-        speed=mean,
-        travels=(0.5 * TRAVELS[reynolds], 0.5 * TRAVELS[reynolds]),
-        window=(0.0, VIEW_D, 0.0, HEIGHT_D),
-        is_shedding=is_shedding,
-        per_travel=60.0,
-    )
+    travels, window = (0.5 * TRAVELS[reynolds],) * 2, (0.0, VIEW_D, 0.0, HEIGHT_D)
+    options: Any = {"mean": MEAN, "is_shedding": is_shedding, "per_travel": 60.0}
+    result = wake.measure_wake(solver, travels, window, **options)
     drop = _measure_pressure_drop(solver.macroscopic()[0][0], x, y, diameter)
     unit = result["inflow_density"] * mean**2
     return result | {"pressure_drop": MEAN_SPEED[reynolds] ** 2 * drop / unit}
@@ -151,8 +145,8 @@ def judge(runs: Runs) -> Iterator[Check]:
         if note is not FINER or len(values) > 1:  # the lift of a quick run is known to be 9 % low
             yield check_refined("D", quantity, values, *criterion, note=note)
     for quantity, reynolds, key, reference, source, note in VARIANT_TARGETS:
-        found = {v: runs.get(diameter=SIZES[0], reynolds=reynolds, **VARIANTS[v]) for v in VARIANTS}
-        row = {variant: run[key] for variant, run in found.items() if run}
+        found = {v: runs.by("diameter", reynolds=reynolds, **VARIANTS[v]) for v in VARIANTS}
+        row = {v: sizes[SIZES[0]][key] for v, sizes in found.items() if sizes}
         if len(row) > 1:
             size = f"D = {SIZES[0]}"
             options: Any = {"at": "standard", "resolution": size, "note": note}
@@ -175,7 +169,6 @@ def draw(figure: Figure, runs: Runs) -> None:
         axes.axhline(value, color=GREY, linestyle=":", linewidth=0.9)
     axes.set(xlabel="time  [D / U_mean]", ylabel="force coefficient")
     axes.set_title("Re = 100; dotted: extremes by FeatFlow")
-    axes.legend()
     axes = figure.add_subplot(grid[1, 1])
     for quantity, reynolds, key, reference, *_ in (TARGETS[0], *TARGETS[6:8], TARGETS[9]):
         values = runs.read(key, "diameter", reynolds=reynolds)
@@ -185,7 +178,6 @@ def draw(figure: Figure, runs: Runs) -> None:
     axes.axhline(0.0, color=GREY, linewidth=0.9)
     axes.set(xlabel="diameter D  [nodes]", ylabel="error  [%]", xticks=list(SIZES))
     axes.set_title("against Nabh and FeatFlow")
-    axes.legend()
 
 
 SOURCE = (

@@ -84,7 +84,6 @@ def draw(figure: Figure, runs: Runs) -> None:
             axes.plot(time, np.array(mean) * 1e6, label=f"D = {d}, {skin}")
     axes.set(xlabel="time t / T", ylabel="mean of ρ − 1, 10⁻⁶")
     axes.set_title("Cylinder that sways by ±D in a closed tank")
-    axes.legend()
 
 
 CASE = Case("conservation", __doc__, "conservation of mass", JOBS, judge, draw)

@@ -87,14 +87,7 @@ def run_half_disc(
         sides=SIDES[sides],
         skin=ImmersedBoundary(force_solve=DirectSolve()),
     )
-    return wake.measure_wake(
-        solver,
-        diameter=diameter,
-        speed=speed,
-        travels=(0.5 * TRAVELS, 0.5 * TRAVELS),
-        window=WINDOW_D,
-        is_shedding=True,
-    )
+    return wake.measure_wake(solver, (0.5 * TRAVELS, 0.5 * TRAVELS), WINDOW_D)
 
 
 JOBS = [
@@ -112,29 +105,24 @@ JOBS = [
 def judge(runs: Runs) -> Iterator[Check]:
     """Compare the measurements with the paper, without a criterion."""
     for reynolds in SPEEDS:
-        sizes = runs.by("diameter", reynolds=reynolds)
-        known = {n: run for n, a in RUNS.items() if (run := runs.get(reynolds=reynolds, **a))}
-        for key, name in QUANTITIES.items() if sizes else ():
-            is_known = key == "strouhal"
-            paper = (PAPER[reynolds], "the paper's table") if is_known else ()
-            row, options = {n: run[key] for n, run in known.items()}, {"at": f"D = {max(sizes)}"}
-            options |= {"note": NOTE} if is_known else {}
+        for key, name in QUANTITIES.items():
+            row = {n: runs.get(reynolds=reynolds, **a)[key] for n, a in RUNS.items()}
+            paper: Any = (PAPER[reynolds], "the paper's table") if key == "strouhal" else ()
+            options = {"at": f"D = {max(SIZES)}", "note": NOTE if paper else ""}
             yield check_refined("", f"{name}, Re = {reynolds}", row, *paper, **options)
 
 
 def draw(figure: Figure, runs: Runs) -> None:
     """Draw the wakes and the lift."""
-    found = {reynolds: runs.by("diameter", reynolds=reynolds) for reynolds in SPEEDS}
-    found = {reynolds: sizes for reynolds, sizes in found.items() if sizes}
-    shape: Any = [[str(reynolds) for reynolds in found], ["lift"] * len(found)]
+    shape: Any = [[str(reynolds) for reynolds in SPEEDS], ["lift"] * len(SPEEDS)]
     panels = figure.subplot_mosaic(shape, height_ratios=(3, 2))
-    lift = panels["lift"]
+    lift, size = panels["lift"], max(SIZES)
     left, right, low, high = WINDOW_D
     reach = (left - FACE_D, right - FACE_D, low - 0.5 * HEIGHT_D, high - 0.5 * HEIGHT_D)
-    for reynolds, sizes in found.items():
-        axes, run = panels[str(reynolds)], sizes[max(sizes)]
+    for reynolds in SPEEDS:
+        axes, run = panels[str(reynolds)], runs.get(reynolds=reynolds, diameter=size)
         wake.draw_vorticity(axes, run, reach, limit=5.0)
-        axes.set_title(f"Re = {reynolds}, D = {max(sizes)} nodes")
+        axes.set_title(f"Re = {reynolds}, D = {size} nodes")
         wake.draw_series(lift, run, "lift", f"Re = {reynolds}")
     lift.set(xlabel="time  [D / U]", ylabel="lift coefficient")
     figure.legend(*lift.get_legend_handles_labels(), loc="outside lower center", ncols=3)

@@ -11,11 +11,12 @@ turn: the outflow to twice its distance, the inflow by 6.25 D, both sides to twi
 
 from collections.abc import Iterator
 from math import pi
+from typing import Any
 
 from matplotlib.figure import Figure
 
 from experiments.validation import wake
-from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from fishrl.physics import DCylinder, ImmersedBoundary, diagnostics
 
 DIAMETER, SPEED, REYNOLDS = 16, 0.06, 200.0
@@ -50,9 +51,7 @@ def shed_between(*, edges: str, far: str = "") -> Result:
         skin=ImmersedBoundary(),
     )
     window = (ahead, ahead + WIDTH_D, 0.5 * wider, 0.5 * wider + HEIGHT_D)
-    result = wake.measure_wake(
-        solver, diameter=d, speed=SPEED, travels=TRAVELS, window=window, is_shedding=True
-    )
+    result = wake.measure_wake(solver, TRAVELS, window)
     size = diagnostics.compute_vorticity(solver.macroscopic()[1])[0].abs().double()
     middle = height // 2
     shed = size[middle - d : middle + d, round(x) + d :].mean()
@@ -71,27 +70,17 @@ JOBS = [
 
 def judge(runs: Runs) -> Iterator[Check]:
     """Check what the edges make, and what the nearness of the outflow changes."""
-    near = runs.by("edges")
+    made = runs.read("made", "edges")
     for name in ("inflow", "sides"):
-        yield Check(
-            f"vorticity made at the {name} / in the wake",
-            near[NEW]["made"][name],
-            (0.0, MADE_LIMIT),
-            OWN,
-            refinement={edges: run["made"][name] for edges, run in near.items()},
-        )
-    by_distance = runs.by("far", edges=NEW)
+        values = {edges: shares[name] for edges, shares in made.items()}
+        quantity, limits = f"vorticity made at the {name} / in the wake", (0.0, MADE_LIMIT)
+        yield check_refined("", quantity, values, limits, OWN, at=NEW, resolution="")
     for key, name in NAMES.items():
-        for far, run in by_distance.items():
-            if far:
-                is_outflow = far == "outflow"
-                yield Check(
-                    f"{name}: near / with the {far} farther away",
-                    by_distance[""][key] / run[key],
-                    1.0 if is_outflow else None,
-                    OWN if is_outflow else "",
-                    LIMITS[key] if is_outflow else None,
-                )
+        values = runs.read(key, "far", edges=NEW)
+        for far in FAR:
+            criterion: Any = (1.0, OWN, LIMITS[key]) if far == "outflow" else ()
+            quantity = f"{name}: near / with the {far} farther away"
+            yield Check(quantity, values[""] / values[far], *criterion)
 
 
 def draw(figure: Figure, runs: Runs) -> None:
@@ -104,13 +93,5 @@ def draw(figure: Figure, runs: Runs) -> None:
 
 
 SOURCE = "none; criteria of our own"
-CASE = Case(
-    "edges",
-    __doc__,
-    SOURCE,
-    JOBS,
-    judge,
-    draw,
-    size=(7.6, 7.6),
-    headline="vorticity made at the sides / in the wake",
-)
+HEADLINE = "vorticity made at the sides / in the wake"
+CASE = Case("edges", __doc__, SOURCE, JOBS, judge, draw, (7.6, 7.6), HEADLINE)

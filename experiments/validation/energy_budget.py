@@ -12,6 +12,7 @@ skin, where second moments do not show it.
 
 from collections.abc import Iterator
 from math import inf, pi, radians
+from typing import Any
 
 import torch
 from matplotlib.figure import Figure
@@ -144,25 +145,17 @@ def judge(runs: Runs) -> Iterator[Check]:
     for fish, own in FISH.items():
         for skin, name in NAMES.items():
             found = runs.by("body_length", skin=skin, **own)
-            at, finest = f"{name}, {fish}", found.get(FINEST)
-            if not finest:
-                continue
+            at, finest = f"{name}, {fish}", found[FINEST]
             is_sharp, note = skin == "bounce-back", reasons.get(fish, "")
             if own.get("turn"):
                 muscles = finest["closure"] / (1.0 - finest["torque"])
                 note = f"Without the work of the torque the sum would be {muscles:.2f}."
-            yield Check(
-                f"(kinetic energy + dissipation) / work, {at}",
-                finest["closure"],
-                1.0 if is_sharp else None,
-                OWN if is_sharp else "",
-                LIMIT if is_sharp else None,
-                resolution=f"L = {FINEST}",
-                refinement={f"L = {n}": run["closure"] for n, run in found.items()},
-                note=note if is_sharp else "",
-            )
+            closure = {n: run["closure"] for n, run in found.items()}
+            quantity = f"(kinetic energy + dissipation) / work, {at}"
+            criterion: Any = {"reference": 1.0, "source": OWN, "tolerance": LIMIT, "note": note}
+            yield check_refined("L", quantity, closure, **criterion if is_sharp else {})
             if len(found) > 2:
-                gaps = {n: 1.0 - run["closure"] for n, run in found.items()}
+                gaps = {n: 1.0 - value for n, value in closure.items()}
                 order = fit_order(gaps), (MIN_ORDER, inf) if is_sharp else None, OWN
                 yield Check(f"order of what is missing, {at}", *order)
             what = "dissipated within two nodes of the skin"
@@ -181,8 +174,7 @@ def draw(figure: Figure, runs: Runs) -> None:
             label = f"{name}, {fish}"
             closure = [run["closure"] for run in found.values()]
             left.plot([1.0 / n for n in found], closure, "o-", label=label)
-            if finest := found.get(FINEST):
-                right.plot(range(SHELLS - 1), finest["shells"][:-1], "o-", label=label)
+            right.plot(range(SHELLS - 1), found[FINEST]["shells"][:-1], "o-", label=label)
     left.axhline(1.0, color="0.5", linestyle="--")
     left.set(xlabel="1 / L", xlim=(0.0, None), ylabel="(kinetic energy + dissipation) / work")
     right.set(xlabel="distance from the skin, nodes", ylabel="share of the work dissipated")
@@ -191,13 +183,5 @@ def draw(figure: Figure, runs: Runs) -> None:
 
 
 SOURCE = "conservation of energy"
-CASE = Case(
-    "energy-budget",
-    __doc__,
-    SOURCE,
-    JOBS,
-    judge,
-    draw,
-    size=(9.0, 4.0),
-    headline="(kinetic energy + dissipation) / work, bounce-back, Re = 500",
-)
+HEADLINE = "(kinetic energy + dissipation) / work, bounce-back, Re = 500"
+CASE = Case("energy-budget", __doc__, SOURCE, JOBS, judge, draw, (9.0, 4.0), HEADLINE)

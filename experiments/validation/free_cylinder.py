@@ -76,14 +76,9 @@ def run_cylinder(*, diameter: int, height: int, reynolds: int, speed: float) -> 
         speed=speed,
     )
     left, right, low, high = VIEW_D
-    result = measure_wake(
-        solver,
-        diameter=diameter,
-        speed=speed,
-        travels=(0.6 * TRAVELS[reynolds], 0.4 * TRAVELS[reynolds]),
-        window=(upstream + left, upstream + right, 0.5 * height + low, 0.5 * height + high),
-        is_shedding=is_shedding,
-    )
+    travels = 0.6 * TRAVELS[reynolds], 0.4 * TRAVELS[reynolds]
+    window = upstream + left, upstream + right, 0.5 * height + low, 0.5 * height + high
+    result = measure_wake(solver, travels, window, is_shedding=is_shedding)
     if not is_shedding:
         u = solver.macroscopic()[1][0, 0, y]
         result["wake_length"] = _measure_wake_length(u, x + 0.5 * diameter) / diameter
@@ -109,23 +104,19 @@ JOBS = [
 ]
 
 
-def _get(runs: Runs, reynolds: int, setup: Setup) -> Result | None:
+def judge(runs: Runs) -> Iterator[Check]:
+    """Check what is left without walls."""
+    for reynolds, key, name, *criterion in REFERENCES:
+        values = {s: _get(runs, reynolds, s)[key] for s in SETUPS}
+        shown = {f"D = {d}, H = {h} D, U = {u}": value for (d, h, u), value in values.items()}
+        shown["extrapolated"], note = extrapolate(values), NOTES.get((reynolds, key), "")
+        options: Any = {"at": "extrapolated", "note": note}
+        yield check_refined("", f"{name}, Re = {reynolds}", shown, *criterion, **options)
+
+
+def _get(runs: Runs, reynolds: int, setup: Setup) -> Result:
     diameter, height, speed = setup
     return runs.get(diameter=diameter, height=height, reynolds=reynolds, speed=speed)
-
-
-def judge(runs: Runs) -> Iterator[Check]:
-    """Check what is left without walls; unfinished runs show numbers without a criterion."""
-    for reynolds, key, name, reference, source in REFERENCES:
-        values = {s: run[key] for s in SETUPS if (run := _get(runs, reynolds, s))}
-        shown = {f"D = {d}, H = {h} D, U = {u}": value for (d, h, u), value in values.items()}
-        quantity = f"{name}, Re = {reynolds}"
-        if len(values) == len(SETUPS):
-            shown["extrapolated"], note = extrapolate(values), NOTES.get((reynolds, key), "")
-            criterion: Any = (reference, source)
-            yield check_refined("", quantity, shown, *criterion, at="extrapolated", note=note)
-        elif values:
-            yield check_refined("", f"{quantity}, with walls", shown, source=source)
 
 
 def extrapolate(values: Mapping[Setup, float]) -> float:
@@ -151,13 +142,9 @@ def extrapolate(values: Mapping[Setup, float]) -> float:
 
 def draw(figure: Figure, runs: Runs) -> None:
     """Draw the wakes."""
-    setup = TALL if any(_get(runs, reynolds, TALL) for reynolds in TRAVELS) else BASE
     for axes, reynolds in zip(figure.subplots(2, 2).flat, TRAVELS, strict=True):
-        if run := _get(runs, reynolds, setup):
-            draw_vorticity(axes, run, VIEW_D, limit=3.0)
-            axes.set_title(f"Re = {reynolds}, D = {setup[0]} nodes, H = {setup[1]} D")
-        else:
-            axes.set_visible(False)
+        draw_vorticity(axes, _get(runs, reynolds, TALL), VIEW_D, limit=3.0)
+        axes.set_title(f"Re = {reynolds}, D = {TALL[0]} nodes, H = {TALL[1]} D")
 
 
 SOURCE = "ranges of published values, as quoted in secondary sources"

@@ -40,18 +40,16 @@ def _select(runs: Runs, gait: str) -> dict[int, Result]:
 def judge(runs: Runs) -> Iterator[Check]:
     """Check the exponent of speed against Reynolds number; record each gait."""
     speeds = {re: run["speed"][-1] for re, run in _select(runs, "carling").items()}
-    resolution = f"L = {BODY_LENGTH}"
-    if len(speeds) > 1:
-        yield Check(
-            "exponent p of U L / ν ∝ Sw^p, Re = 500–7142",
-            1.0 - fit_order(speeds),
-            EXPONENT,
-            SOURCE,
-            tolerance=0.1,
-            resolution=resolution,
-            refinement={f"Re = {re}": speed for re, speed in speeds.items()},
-            note="its values by run are speeds in L / T.",
-        )
+    yield Check(
+        "exponent p of U L / ν ∝ Sw^p, Re = 500–7142",
+        1.0 - fit_order(speeds),
+        EXPONENT,
+        SOURCE,
+        tolerance=0.1,
+        resolution=f"L = {BODY_LENGTH}",
+        refinement={f"Re = {re}": speed for re, speed in speeds.items()},
+        note="its values by run are speeds in L / T.",
+    )
     for gait in GAITS:
         tail = GAITS[gait].tail_speed / pi  # peak to peak, L
         for reynolds, run in _select(runs, gait).items():
@@ -61,7 +59,7 @@ def judge(runs: Runs) -> Iterator[Check]:
                 f"Strouhal number of the tail 2a f / U = {tail / speed:.2f}."
             )
             name = f"speed, {gait}, Re = {reynolds}, L / T"
-            yield Check(name, speed, resolution=resolution, note=note)
+            yield Check(name, speed, resolution=f"L = {BODY_LENGTH}", note=note)
 
 
 def draw(figure: Figure, runs: Runs) -> None:
@@ -69,8 +67,8 @@ def draw(figure: Figure, runs: Runs) -> None:
     left, right = figure.subplots(1, 2)
     for gait, colour in zip(GAITS, COLOURS, strict=False):
         for reynolds, style in zip(ENDS, ("--", "-"), strict=True):
-            if run := _select(runs, gait).get(reynolds):
-                draw_speed(left, run, style, color=colour, label=f"{gait}, Re = {reynolds}")
+            run = _select(runs, gait)[reynolds]
+            draw_speed(left, run, style, color=colour, label=f"{gait}, Re = {reynolds}")
     left.set(ylabel="speed over each beat  U T / L", ylim=(0.0, 0.8))
     tail = GAITS["carling"].tail_speed
     found = _select(runs, "carling")
@@ -81,7 +79,6 @@ def draw(figure: Figure, runs: Runs) -> None:
     right.loglog(sw, line, "--", color=GREY, label="Sw^(4/3)")
     right.set(xlabel="swimming number  Sw", ylabel="Reynolds number of the motion  U L / ν")
     name_ticks(right, sw)
-    right.legend()
 
 
 CASE = Case("gaits", __doc__, SOURCE, JOBS, judge, draw, size=(9.0, 4.0))

@@ -19,7 +19,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.refined_flows import cross_uniform_flow, feel_shifts, hold, swim
 
 SPEED, POWER = {"speed": 0.003}, {"power": 0.007}
@@ -28,7 +28,6 @@ WAKE = {"drag": 0.002, "lift_amplitude": 0.01, "strouhal": 0.003}
 MASS_LIMIT, NOISE_LIMIT, ROUND_OFF = 5e-6, 1.2, 1e-15
 NAMES = {"drag": "C_d", "lift_amplitude": "C_l amplitude", "strouhal": "St"}
 OWN = "own criterion"
-REST = "at rest"
 
 
 @dataclass(frozen=True)
@@ -53,27 +52,19 @@ class Group:
 
     def read(self, runs: Runs) -> dict[str, tuple[Result, Result]]:
         """Return the results of each flow with levels, and on the finest grid everywhere."""
-        found = {}
-        for name, given in self.flows.items():
-            pair = (self.get(runs, given), self.get(runs, {**given, "levels": 1}))
-            found[name] = pair
-        return found
+        pairs = {name: (given, {**given, "levels": 1}) for name, given in self.flows.items()}
+        return {name: (runs.get(**a), runs.get(**b)) for name, (a, b) in pairs.items()}
 
     def explain(self, runs: Runs, quantity: str) -> str:
         """Return what else changes a quantity."""
         words = []
         for name, given in self.flows.items() if self.varied else ():
-            uniform = self.get(runs, {**given, "levels": 1})
-            every = (self.get(runs, {**given, **changes}) for changes in VARIED)
+            uniform = runs.get(**{**given, "levels": 1})
+            every = (runs.get(**{**given, **changes}) for changes in VARIED)
             ratios = [compare(each, uniform, quantity, 1)[0] for each in every]
             values = " and ".join(f"{100.0 * (ratio - 1.0):+.2f}" for ratio in ratios)
             words.append(f"{values} % ({name})")
         return f"{VARIED_NOTE} {', '.join(words)}." if words else ""
-
-    def get(self, runs: Runs, given: Mapping[str, Any]) -> Result:
-        """Return the result of one flow."""
-        own = ((job, result) for job, result in runs.finished if job.function is self.function)
-        return next(result for job, result in own if job.arguments == given)
 
 
 Given = Mapping[str, Any]
@@ -81,7 +72,8 @@ FINE: Given = {"levels": 3, "body_length": 100, "reynolds": 1000.0}
 MIDDLE = {"places": [[5.5, 2.6]], "edges": "moving"}
 STREAM = {"places": [[5.0, 2.5]], "edges": "stream", "stream": 0.04}
 ANGLES: Mapping[str, Given] = {
-    f"{angle}°" if angle else REST: {**MIDDLE, "headings": [180.0 + angle]} for angle in (0, 30, 45)
+    name: {**MIDDLE, "headings": [180.0 + angle]}
+    for name, angle in (("at rest", 0), ("30°", 30), ("45°", 45))
 }
 FRAMES: Mapping[str, Given] = {
     f"frame at {speed:+}": {"places": [[x, 2.6]], "edges": "moving", "stream": speed}
@@ -168,7 +160,7 @@ FINEST = {
     f"L = 200, 4 levels, Re = {reynolds}": {**FOUR, "reynolds": float(reynolds), "num_beats": 10}
     for reynolds in (500, 7142)
 }
-INVARIANT = {name: {**FOUR, **own} for name, own in {**ANGLES, **FRAMES}.items()}
+INVARIANCES = {**ANGLES, **FRAMES}
 
 
 def list_jobs() -> Iterator[Job]:
@@ -180,7 +172,7 @@ def list_jobs() -> Iterator[Job]:
             for changes in VARIED if group.varied else ():
                 yield Job(group.function, {**given, **changes}, cost=1e8)
     yield Job(feel_shifts, SHIFTS, cost=1e8)
-    for given in (*INVARIANT.values(), *FINEST.values()):
+    for given in (*({**FOUR, **own} for own in INVARIANCES.values()), *FINEST.values()):
         yield Job(swim, given, cost=1e10)
     yield Job(cross_uniform_flow, {"levels": 3}, cost=1e7)
 
@@ -210,16 +202,8 @@ def judge(runs: Runs) -> Iterator[Check]:
             words = [group.explain(runs, quantity)] if abs(largest[worst] - 1.0) > limit else []
             if group.function is swim and quantity != "turned":
                 words.append(f"All beats after the first together deviate by {mean:+.2f} %.")
-            yield Check(
-                f"{group.name}: {NAMES.get(quantity, quantity)} / uniform",
-                largest[worst],
-                1.0,
-                OWN,
-                limit,
-                resolution=worst,
-                refinement=largest,
-                note=" ".join(words),
-            )
+            name, note = f"{group.name}: {NAMES.get(quantity, quantity)} / uniform", " ".join(words)
+            yield check_refined("", name, largest, 1.0, OWN, limit, at=worst, note=note)
         if group.is_closed:
             yield _judge_mass(group.name, pairs)
         if group.name == FREE:
@@ -232,19 +216,13 @@ def _judge_mass(group: str, pairs: Mapping[str, tuple[Result, Result]]) -> Check
     changes = {name: one["mass"] - other["mass"] for name, (one, other) in pairs.items()}
     worst = max(changes, key=lambda name: abs(changes[name]))
     updates = (f"{b['updates'] / a['updates']:.1f}" for a, b in pairs.values())
-    return Check(
-        f"{group}: density gained less uniform",
-        changes[worst],
-        0.0,
-        OWN,
-        MASS_LIMIT,
-        is_absolute=True,
-        resolution=worst,
-        refinement=changes,
-        note="At the edges of a patch mass is conserved to the error of interpolation, which "
-        "vortices that leave raise. Levels update "
-        f"fewer nodes: {', '.join(dict.fromkeys(updates))} times.",
+    note = (
+        "At the edges of a patch mass is conserved to the error of interpolation, which vortices "
+        f"that leave raise. Levels update fewer nodes: {', '.join(dict.fromkeys(updates))} times."
     )
+    options: Any = {"at": worst, "is_absolute": True, "note": note}
+    quantity = f"{group}: density gained less uniform"
+    return check_refined("", quantity, changes, 0.0, OWN, MASS_LIMIT, **options)
 
 
 def _record_speeds(runs: Runs, pairs: Mapping[str, tuple[Result, Result]]) -> Check:
@@ -254,53 +232,30 @@ def _record_speeds(runs: Runs, pairs: Mapping[str, tuple[Result, Result]]) -> Ch
         length, _, reynolds = name.split(", ")
         speeds |= {name: one["speed"][-1], f"{length}, uniform, {reynolds}": other["speed"][-1]}
     for name, given in FINEST.items():
-        speeds[name] = GROUPS[0].get(runs, given)["speed"][-1]
-    finest = next(reversed(speeds))
-    return Check(
-        f"{FREE}: speed in beat 10, L / T", speeds[finest], resolution=finest, refinement=speeds
-    )
+        speeds[name] = runs.get(**given)["speed"][-1]
+    return check_refined("", f"{FREE}: speed in beat 10, L / T", speeds, at=[*speeds][-1])
 
 
 def _judge_rest(runs: Runs) -> Iterator[Check]:
     """Check the force around shifts and uniform flow, and record two invariances."""
-    single = {job.function: result for job, result in runs.finished}
-    felt, crossing = single[feel_shifts], single[cross_uniform_flow]
-    yield Check(
-        "force on a fish: rms third difference near shifts / elsewhere",
-        felt["ratio"],
-        (0.0, NOISE_LIMIT),
-        OWN,
-        note=f"{felt['shifts']} shifts.",
-    )
-    yield Check(
-        "uniform flow: largest error of a population, 3 levels",
-        crossing["error"],
-        0.0,
-        "exact",
-        ROUND_OFF,
-        is_absolute=True,
-    )
+    felt, error = runs.get(**SHIFTS), runs.get(levels=3)["error"]
+    name, note = "force on a fish: rms third difference near shifts", f"{felt['shifts']} shifts."
+    yield Check(f"{name} / elsewhere", felt["ratio"], (0.0, NOISE_LIMIT), OWN, note=note)
+    name = "uniform flow: largest error of a population, 3 levels"
+    yield Check(name, error, 0.0, "exact", ROUND_OFF, is_absolute=True)
     grids = {
         "L = 100, uniform": {**FINE, "levels": 1},
         "L = 100, 3 levels": FINE,
         "L = 200, 4 levels": FOUR,
     }
-    for name, own in {**ANGLES, **FRAMES}.items():
-        speeds = {
-            grid: [GROUPS[0].get(runs, {**given, **each}) for each in (own, ANGLES[REST])]
-            for grid, given in grids.items()
-        }
-        changes = {
-            grid: sum(one["speed"][2:]) / sum(other["speed"][2:]) - 1.0
-            for grid, (one, other) in speeds.items()
-        }
-        if name != REST:
-            yield Check(
-                f"fish, {name}: change of the speed over beats 3 and 4",
-                changes["L = 200, 4 levels"],
-                resolution="L = 200, 4 levels",
-                refinement=changes,
-            )
+    rest, *others = (
+        {grid: sum(runs.get(**{**given, **own})["speed"][2:]) for grid, given in grids.items()}
+        for own in INVARIANCES.values()
+    )
+    for name, speeds in zip([*INVARIANCES][1:], others, strict=True):
+        changes = {grid: speed / rest[grid] - 1.0 for grid, speed in speeds.items()}
+        quantity = f"fish, {name}: change of the speed over beats 3 and 4"
+        yield check_refined("", quantity, changes, at=[*grids][-1])
 
 
 def draw(figure: Figure, runs: Runs) -> None:

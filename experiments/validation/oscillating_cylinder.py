@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.plots import draw_reference
-from experiments.validation.wake import PINNED, make_even, start_flow
+from experiments.validation.wake import PINNED, make_even, record, start_flow
 from fishrl.physics import Boundaries, Cylinder, FlowConfig, Oscillating
 from fishrl.physics.skins import Skin
 from fishrl.settings import build
@@ -82,14 +82,10 @@ def oscillate(
     centre = (0.5 * config.width + amplitude + 0.3, 0.5 * config.height + 0.2)
     solver = start_flow(config, centre, frequency=1.0 / period)
     solver.body.phase.fill_(0.5 * pi)
-    impulses = [float(solver.body.impulse[0, 0])]
-    for _ in range(NUM_PERIODS * NUM_SAMPLES):
-        solver.advance_(samples)
-        impulses.append(float(solver.body.impulse[0, 0]))
-    if bool(solver.is_diverged().any()):
-        raise RuntimeError("the flow diverged: lower the speed")
-    phase = 0.5 * pi + 2.0 * pi * np.arange(NUM_PERIODS * NUM_SAMPLES + 1) / NUM_SAMPLES
-    force = np.diff(impulses) / samples / (speed**2 * diameter)
+    num = NUM_PERIODS * NUM_SAMPLES
+    (impulse,) = record(solver, num, samples, lambda: [solver.body.impulse[0, 0]])
+    phase = 0.5 * pi + 2.0 * pi * np.arange(num + 1) / NUM_SAMPLES
+    force = np.diff(impulse.numpy()) / samples / (speed**2 * diameter)
     # mean velocity over a sample, and acceleration, in U and U^2 / D
     v = np.diff(np.sin(phase)) / np.diff(phase)
     a = np.diff(np.cos(phase)) * NUM_SAMPLES / KC
@@ -162,7 +158,6 @@ def draw(figure: Figure, runs: Runs) -> None:
     draw_reference(axes, CURVE, "Dütsch et al. 1998")
     axes.set(xlabel="time t / T", ylabel="force on the cylinder / ρU²D", xlim=(0.0, 1.0))
     axes.set_title("Oscillating cylinder, KC = 5, Re = 100")
-    axes.legend()
 
 
 SOURCE = (

@@ -26,7 +26,6 @@ def draw_convergence(axes: Axes, series: Mapping[str, Mapping[int, float]]) -> N
     slope = [start * (sizes[0] / n) ** 2 for n in sizes]
     axes.loglog(sizes, slope, color=GREY, linestyle="--", label="order 2")
     name_ticks(axes, sizes)
-    axes.legend()
 
 
 def name_ticks(axes: Axes, values: Sequence[float]) -> None:

@@ -7,7 +7,7 @@ from math import degrees, pi, radians
 import torch
 
 from experiments.validation.case import Result
-from experiments.validation.wake import kick, measure_wake, start_flow
+from experiments.validation.wake import kick, measure_wake, record, start_flow
 from fishrl.physics import (
     Bending,
     Boundaries,
@@ -146,13 +146,10 @@ def feel_shifts(*, num_beats: int, **given: object) -> Result:
     solver, scales = start_fish(levels=2, **given)  # type: ignore[arg-type]
     unit = 2 * solver.config.coarsest_spacing
     solver.advance_(scales.period)
-    impulses, corners = [solver.body.impulse[0].clone()], [solver.corners[0].clone()]
-    for _ in range((num_beats - 1) * scales.period // unit):
-        solver.advance_(unit)
-        impulses.append(solver.body.impulse[0].clone())
-        corners.append(solver.corners[0].clone())
-    jerk = torch.stack(impulses).diff(dim=0).diff(n=WINDOW, dim=0).square().sum(-1)
-    has_shift = (torch.stack(corners).diff(dim=0) != 0).flatten(1).any(-1)
+    num, body = (num_beats - 1) * scales.period // unit, solver.body
+    impulse, corners = record(solver, num, unit, lambda: (body.impulse[0], solver.corners[0]))
+    jerk = impulse.diff(dim=0).diff(n=WINDOW, dim=0).square().sum(-1)
+    has_shift = (corners.diff(dim=0) != 0).flatten(1).any(-1)
     is_near = has_shift.unfold(0, WINDOW + 1, 1).any(-1)
     ratio = (jerk[is_near].mean() / jerk[~is_near].mean()).sqrt()
     return {"ratio": float(ratio), "shifts": int(has_shift.sum())}
@@ -180,15 +177,8 @@ def hold(*, levels: int, reynolds: float, diameter: int, is_half: bool = False) 
     )
     heading = pi if is_half else 0.0
     solver = start_flow(config, place, heading, stream=(1.0, 0.0))
-    found = measure_wake(
-        solver,
-        diameter=diameter,
-        speed=speed,
-        travels=(70.0, 40.0),
-        window=(2.0, 16.0, 1.0, 8.0),
-        is_shedding=True,
-        per_travel=diameter / speed / 8.0,  # every eight steps, as levels need
-    )
+    every = diameter / speed / 8.0  # eight steps, as levels need
+    found = measure_wake(solver, (70.0, 40.0), (2.0, 16.0, 1.0, 8.0), per_travel=every)
     return {name: found[name] for name in ("drag", "lift_amplitude", "strouhal")}
 
 

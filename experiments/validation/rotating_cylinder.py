@@ -42,7 +42,6 @@ def turn(*, diameter: int, skin: str, size: int = SIZE, speed: float = SPEED) ->
     """Run the cylinder in a square of ``size`` D and return the results of ``measure_wake``."""
     rate = 2.0 * speed / diameter
     middle = 0.5 * size * diameter
-    left, right, low, high = (0.5 * size + side for side in VIEW_D)
     solver = start_stream(
         Cylinder(diameter=diameter, motion=Driven(angular_velocity=rate)),
         (middle, middle),
@@ -51,14 +50,7 @@ def turn(*, diameter: int, skin: str, size: int = SIZE, speed: float = SPEED) ->
         speed=speed,
         skin=build(Skin, skin),
     )
-    return measure_wake(
-        solver,
-        diameter=diameter,
-        speed=speed,
-        travels=TRAVELS,
-        window=(left, right, low, high),
-        is_shedding=True,
-    )
+    return measure_wake(solver, TRAVELS, [0.5 * size + side for side in VIEW_D])
 
 
 JOBS = [
@@ -81,9 +73,8 @@ def judge(runs: Runs) -> Iterator[Check]:
 def draw(figure: Figure, runs: Runs) -> None:
     """Draw the wakes on the finer grid."""
     for axes, (skin, name) in zip(figure.subplots(1, 2), NAMES.items(), strict=True):
-        if run := runs.get(diameter=DIAMETERS[-1], skin=skin):
-            draw_vorticity(axes, run, VIEW_D, limit=3.0)
-            axes.set_title(f"{name}, D = {DIAMETERS[-1]} nodes")
+        draw_vorticity(axes, runs.get(diameter=DIAMETERS[-1], skin=skin), VIEW_D, limit=3.0)
+        axes.set_title(f"{name}, D = {DIAMETERS[-1]} nodes")
 
 
 CASE = Case("rotating-cylinder", __doc__, KANG, JOBS, judge, draw, size=(9.6, 2.8))

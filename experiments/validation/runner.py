@@ -129,6 +129,10 @@ def _judge(outcome: Outcome) -> None:
         with mpl.rc_context(FIGURE_STYLE):
             outcome.figure = Figure(figsize=outcome.case.size)
             outcome.case.draw(outcome.figure, outcome.runs)
+            named = [a for a in outcome.figure.axes if a.get_legend_handles_labels()[0]]
+            if not outcome.figure.legends and not any(axes.get_legend() for axes in named):
+                for axes in named:
+                    axes.legend()
             for axes in outcome.figure.axes:
                 spell_decades(axes)
                 if not axes.images and axes.get_label() != "<colorbar>":

@@ -8,77 +8,54 @@ tenth beat and the mean power of the muscles in it are compared with the values 
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Runs
+from experiments.validation.case import Case, Check, Runs
 from experiments.validation.swimmer import NUM_BEATS, make_swim
 
 REYNOLDS = (500.0, 7142.0)
 LENGTHS = (32, 50, 70, 100, 140)
 COARSE = ("immersed-boundary", (32, 50, 100))
 NAMES = {"immersed-boundary": "immersed boundary", "bounce-back": "bounce-back"}
-# at most this far from the speed at L = 100, and of the power at L = 50
-LIMITS = {32: 0.20, 50: 0.08}
-POWER_LIMIT = 0.10
-FINE_LIMIT = 0.08
-OWN = "own criterion"
+# quantity, its name, what the refinement lists; two grids, and how far they may differ
+SPEEDS, POWERS = "speeds, L / T", "powers, ρ L⁴ / T³"
+COMPARED = (
+    ("speed", "speed", SPEEDS, 32, 100, 0.20),
+    ("speed", "speed", SPEEDS, 50, 100, 0.08),
+    ("speed", "speed", "", 100, 140, 0.08),
+    ("power", "power of the muscles", POWERS, 50, 100, 0.10),
+)
 REASONS = {
     500.0: "",
     7142.0: "The boundary layer, about L / 60 thick, is half a node at L = 32 and one at L = 50. ",
 }
 
 
-def list_jobs() -> Iterator[Job]:
-    """Return the sharp swimmers, and the others for comparison."""
-    for reynolds in REYNOLDS:
-        for skin, lengths in (("bounce-back", LENGTHS), COARSE):
-            for n in lengths:
-                yield make_swim(n, NUM_BEATS, reynolds=reynolds, skin=skin)
+JOBS = [
+    make_swim(n, NUM_BEATS, reynolds=reynolds, skin=skin)
+    for reynolds in REYNOLDS
+    for skin, lengths in (("bounce-back", LENGTHS), COARSE)
+    for n in lengths
+]
 
 
 def judge(runs: Runs) -> Iterator[Check]:
     """Compare coarse grids with fine ones."""
     for reynolds in REYNOLDS:
         given = {"num_beats": NUM_BEATS, "reynolds": reynolds}
-        sharp = runs.by("body_length", skin="bounce-back", **given)
-        soft = runs.by("body_length", skin="immersed-boundary", **given)
-        speed = {n: run["speed"][-1] for n, run in sharp.items()}
-        power = {n: run["power"][-1] for n, run in sharp.items()}
-        at = f"Re = {reynolds:g}"
-        for n, limit in LIMITS.items():
-            other = soft[n]["speed"][-1] / soft[100]["speed"][-1]
-            yield Check(
-                f"speed at L = {n} / at L = 100, {at}",
-                speed[n] / speed[100],
-                1.0,
-                OWN,
-                limit,
-                resolution=f"L = {n}",
-                refinement={f"L = {m}": value for m, value in speed.items()},
-                note=f"{REASONS[reynolds]}With the immersed boundary {other:.3f}. The refinement "
-                "lists speeds, L / T.",
-            )
-        yield Check(
-            f"speed at L = 100 / at L = 140, {at}",
-            speed[100] / speed[140],
-            1.0,
-            OWN,
-            FINE_LIMIT,
-            resolution="L = 100",
-        )
-        yield Check(
-            f"power of the muscles at L = 50 / at L = 100, {at}",
-            power[50] / power[100],
-            1.0,
-            OWN,
-            POWER_LIMIT,
-            resolution="L = 50",
-            refinement={f"L = {m}": value for m, value in power.items()},
-            note=f"{REASONS[reynolds]}With the immersed boundary "
-            f"{soft[50]['power'][-1] / soft[100]['power'][-1]:.3f}. The refinement lists powers, "
-            "ρ L⁴ / T³.",
-        )
+        sharp, soft = (runs.by("body_length", skin=s, **given) for s in reversed(NAMES))
+        for key, name, listed, n, finer, limit in COMPARED:
+            ours, others = ({m: run[key][-1] for m, run in each.items()} for each in (sharp, soft))
+            options: dict[str, Any] = {"resolution": f"L = {n}"}
+            if listed:
+                other = f"With the immersed boundary {others[n] / others[finer]:.3f}."
+                options["refinement"] = {f"L = {m}": value for m, value in ours.items()}
+                options["note"] = f"{REASONS[reynolds]}{other} The refinement lists {listed}."
+            quantity = f"{name} at L = {n} / at L = {finer}, Re = {reynolds:g}"
+            criterion = (1.0, "own criterion", limit)
+            yield Check(quantity, ours[n] / ours[finer], *criterion, **options)
 
 
 def draw(figure: Figure, runs: Runs) -> None:
@@ -95,12 +72,5 @@ def draw(figure: Figure, runs: Runs) -> None:
     every[0].legend()
 
 
-CASE = Case(
-    "sharp-swimmer",
-    __doc__,
-    "the same swimmer on finer grids",
-    list(list_jobs()),
-    judge,
-    draw,
-    size=(8.0, 3.6),
-)
+SOURCE = "the same swimmer on finer grids"
+CASE = Case("sharp-swimmer", __doc__, SOURCE, JOBS, judge, draw, size=(8.0, 3.6))

@@ -170,7 +170,6 @@ def draw(figure: Figure, runs: Runs) -> None:
     axes.set(ylabel="angular velocity / shear rate G", xlim=(0.0, 1.0), ylim=(0.0, None))
     axes.set_xlabel("angle χ of the long axis from the gradient's direction / π")
     axes.set_title("Ellipse, b = 2c, in Couette flow")
-    axes.legend()
 
 
 SOURCE = (

@@ -160,7 +160,6 @@ def draw(figure: Figure, runs: Runs) -> None:
     name_ticks(axes, COUNTS)
     axes.set(xlabel="iterations per step", ylabel="largest slip / speed of tail or stream")
     axes.set_title("Slip against the number of force iterations")
-    axes.legend()
 
 
 SOURCE = "no slip; relaxation 1 is the paper's iteration (Zhang et al. 2016)"

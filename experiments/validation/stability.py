@@ -64,7 +64,11 @@ def turn_at_random(
     for _ in range(num_episodes):
         heading = 2.0 * pi * torch.rand(1, generator=generator)
         solver.reset_(torch.ones(1, dtype=torch.bool), heading=heading)
-        for _ in _swim(solver, scales, generator):
+        for fifth in range(5 * NUM_BEATS):
+            if fifth % 5 == 0:
+                turn = (torch.randint(3, (1,), generator=generator) - 1) * radians(15.0)
+                solver.command_(turn, scales.period)
+            solver.advance_(2 * (scales.period // 10))
             if solver.is_diverged().any():
                 num_diverged += 1
                 break
@@ -73,16 +77,6 @@ def turn_at_random(
             if not ((markers > margin) & (markers < size - margin)).all():
                 break
     return {"diverged": num_diverged, "fastest": fastest}
-
-
-def _swim(solver: InPlaceSolver, scales: Scales, generator: torch.Generator) -> Iterator[None]:
-    """Advance by fifths of a beat, with a new command at every beat."""
-    for _ in range(NUM_BEATS):
-        turn = (torch.randint(3, (1,), generator=generator) - 1) * radians(15.0)
-        solver.command_(turn, scales.period)
-        for _ in range(5):
-            solver.advance_(2 * (scales.period // 10))
-            yield
 
 
 def start_cylinder(*, diameter: int, speed: float, reynolds: float) -> Result:

@@ -94,7 +94,6 @@ def draw(figure: Figure, runs: Runs) -> None:
     for mode, run in _select(runs).items():
         axes.plot(run["x"], run["y"], "o-", ms=3, label=mode)
     axes.set(xlabel="x / L", ylabel="y / L", aspect="equal", title="centre of mass, every beat")
-    axes.legend()
 
 
 CASE = Case("turning", __doc__, "none", JOBS, judge, draw, (6.5, 3.8), HEADLINE)

@@ -1,6 +1,6 @@
 """Start, forces over time and pictures of wakes for cases with one body in a flow."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -67,6 +67,25 @@ def start_stream(
     return start_flow(config, place, heading, stream=(1.0, 0.0))
 
 
+def record(
+    solver: InPlaceSolver, num: int, interval: int, read: Callable[[], Sequence[Tensor]]
+) -> list[Tensor]:
+    """Advance ``num`` times by ``interval`` steps; return what is read before and after each.
+
+    Each tensor of ``read`` is returned with a new first axis of ``num + 1``.
+
+    Raises:
+        RuntimeError: for a flow that diverges.
+    """
+    found = [[value.clone() for value in read()]]
+    for _ in range(num):
+        solver.advance_(interval)
+        found.append([value.clone() for value in read()])
+    if bool(solver.is_diverged().any()):
+        raise RuntimeError("the flow diverged: lower the speed or refine the grid")
+    return [torch.stack(values) for values in zip(*found, strict=True)]
+
+
 def kick(speed: float, diameter: float, travels: float = 3.0) -> Fixed:
     """Return a fixed body that is shaken at first, so that its wake sheds early."""
     return Fixed(kick_speed=0.3 * speed, kick_steps=round(travels * diameter / speed))
@@ -79,19 +98,19 @@ def make_even(number: float) -> int:
 
 def measure_wake(
     solver: InPlaceSolver,
-    *,
-    diameter: float,
-    speed: float,
-    travels: tuple[float, float],
+    travels: Sequence[float],
     window: Sequence[float],
-    is_shedding: bool,
+    *,
+    mean: float = 1.0,
+    is_shedding: bool = True,
     per_travel: float = 30.0,
 ) -> Result:
-    """Advance, and measure the force on the first body over the later of two spans ``travels``.
+    """Advance, and measure the force on the body over the later of two spans ``travels``.
 
     Lengths and times are in D and D / U, coefficients by the density of the second column; force is
-    averaged ``per_travel`` times per D / U. The picture shows a ``window`` (left, right, low, high
-    from the lower left corner). Without shedding the last quarter of the span is measured.
+    averaged ``per_travel`` times per D / U. U is the stream speed times ``mean``. The picture shows
+    a ``window`` (left, right, low, high from the lower left corner). Without shedding the last
+    quarter of the span is measured.
 
     Returns:
         ``drag`` and ``lift`` coefficients, their means over whole periods with shedding; then also
@@ -99,6 +118,9 @@ def measure_wake(
         to trough ``_swing`` and ``lift_amplitude``; the last of the series, with their
         ``interval`` / (D / U), and ``vorticity`` / (U / D).
     """
+    (body,) = solver.config.bodies
+    assert isinstance(body, Cylinder | DCylinder)
+    diameter, speed = body.diameter, mean * solver.config.stream_speed
     travel = diameter / speed
     interval = make_even(travel / per_travel)
     _record_force(solver, travels[0] * diameter / speed, interval)
@@ -138,11 +160,9 @@ def measure_wake(
 
 def _record_force(solver: InPlaceSolver, num_steps: float, interval: int) -> Tensor:
     """Advance and return the mean force on the first body over each interval, ``[n, 2]``."""
-    impulses = [solver.body.impulse[0].clone()]
-    for _ in range(round(round(num_steps) / interval)):
-        solver.advance_(interval)
-        impulses.append(solver.body.impulse[0].clone())
-    return torch.stack(impulses).diff(dim=0) / interval
+    num = round(round(num_steps) / interval)
+    (impulse,) = record(solver, num, interval, lambda: [solver.body.impulse[0]])
+    return impulse.diff(dim=0) / interval
 
 
 def draw_vorticity(

@@ -159,7 +159,8 @@ def test_runs_are_found_by_arguments_and_defaults() -> None:
     assert runs.read("drag", "size") == {1: 1.0, 2: 2.0}
     assert runs.read("drag", "speed", size=2) == {1.0: 2.0, 3.0: 6.0}
     assert runs.get(size=2, speed=3.0) == {"drag": 6.0}
-    assert runs.get(size=1, speed=3.0) is None
+    with pytest.raises(KeyError):
+        runs.get(size=1, speed=3.0)
 
 
 @pytest.mark.parametrize(
