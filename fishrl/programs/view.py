@@ -6,10 +6,12 @@ recording that exists.
 """
 
 import time as clock
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from tempfile import mkdtemp
 from typing import Annotated, Any
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
@@ -117,6 +119,21 @@ def record(
     return endings
 
 
+@contextmanager
+def keep_after_errors() -> Iterator[Path]:
+    """Yield a temporary recording, which stays, named by the error, if one comes after it."""
+    path = Path(mkdtemp(prefix="fishrl-")) / "view.rrd"
+    with ExitStack() as stack:
+        stack.callback(rmtree, path.parent)
+        try:
+            yield path
+        except Exception as error:
+            if path.is_file():
+                error.add_note(f"the recording is kept: {path}")
+                stack.pop_all()
+            raise
+
+
 def wait_for_interrupt() -> None:
     """Return on Ctrl-C."""
     print("the episodes are over; the live view stays until you press Ctrl-C")
@@ -148,8 +165,9 @@ def main(
         episodes: fixed starts, one flow each, of which ``shown_flows`` are shown; by default one
             with a fate typical of a learned policy, else the first.
         periods: T after which an episode is cut; ``null`` runs it to its end.
-        save: file to write: a recording ``.rrd``, by default one in the temporary folder, or of one
-            flow a film, ``.mp4`` or ``.gif``, or a picture of the last moment, ``.png``.
+        save: file to write: a recording ``.rrd``, by default a temporary one, which stays only
+            if the viewer fails, or of one flow a film, ``.mp4`` or ``.gif``, or a picture of the
+            last moment, ``.png``.
         zoom: magnification of a film or picture; above 1 it follows the fish.
         seconds_per_T: duration of a period T in a film, 2 for slow motion; by default a film takes
             some ten seconds.
@@ -174,8 +192,8 @@ def main(
     elif zoom > 1.0 or seconds_per_T is not None:
         raise ValueError("zoom, seconds_per_T: of a film or picture, save=<file.mp4 or file.png>")
     with ExitStack() as stack:
-        folder = stack.enter_context(TemporaryDirectory(prefix="fishrl-"))
-        path = Path(recording or save or f"{folder}/view.rrd").expanduser()
+        given_path = recording or save
+        path = Path(given_path or stack.enter_context(keep_after_errors())).expanduser()
         if recording is not None:
             find_recording(path)
         for file in {save, screenshot}:

@@ -3,6 +3,7 @@
 import socket
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -96,6 +97,20 @@ def test_live_view_stays_until_interrupt(
     view.main.run(config)
     assert waited == [True]
     assert ".rrd" not in capsys.readouterr().out  # the file goes with the program
+
+
+def test_recording_stays_if_the_viewer_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES", "__EGL_VENDOR_LIBRARY_FILENAMES"):
+        monkeypatch.setenv(name, "nowhere")
+    words = [*GAIT, "policy=pid", "periods=1", f"screenshot={tmp_path}/x.png"]
+    with pytest.raises(SystemExit, match="rerun does not run") as failed:
+        view.main(words)
+    kept = Path(str(failed.value).partition("kept: ")[2])
+    assert kept.is_relative_to(tmp_path) and "/flow_0/" in list_entities(kept)
+    assert not (tmp_path / "x.png").exists()
 
 
 @pytest.mark.parametrize(
