@@ -49,6 +49,7 @@ def read_process_state() -> dict[str, Any]:
         "signals": {n: signal.getsignal(n) for n in signal.valid_signals()},
         "logging": {x.name: (x.level, x.disabled, tuple(x.handlers)) for x in loggers},
         "excepthook": (sys.excepthook, threading.excepthook, sys.displayhook),
+        "profiler": (sys.getprofile(), sys.gettrace()),
         "folder": os.getcwd(),
         "arguments": list(sys.argv),
         "path": list(sys.path),

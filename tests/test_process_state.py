@@ -1,32 +1,63 @@
 """Every public call leaves the process as it was; ``tests/smoke`` asks the same of each program."""
 
-from collections.abc import Callable
+import cProfile
+import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import pytest
 import torch
 
 import fishrl.wrappers.gymnasium  # noqa: F401
-from fishrl.envs import Flows, Predation, PredationPair, make_env
+from fishrl import benchmark, envs, modules, objectives, physics, training, viewer
+from fishrl.benchmark import (
+    compare,
+    find_version,
+    identify,
+    list_rows,
+    list_versions,
+    rank,
+    read_row,
+    show_table,
+)
+from fishrl.envs import Flows, Predation, PredationPair, make_env, make_task
 from fishrl.envs.wakes import develop_wakes
+from fishrl.modules import RandomPolicy
+from fishrl.objectives import FitSettings, score_classifier
 from fishrl.physics import Cylinder, FlowConfig, FlowState, InPlaceSolver, estimate_memory, simulate
 from fishrl.physics.fast.inductor import set_up_inductor
 from fishrl.physics.flow import make_rest
-from fishrl.training import LearningSettings, RunSettings, evaluate, load_policy, resume, train
+from fishrl.training import (
+    LearningSettings,
+    RunSettings,
+    baseline,
+    evaluate,
+    find_baselines,
+    load_plan,
+    load_policy,
+    open_run,
+    resume,
+    train,
+)
 from fishrl.training.export import export_policy
+from fishrl.training.run_folder import write_json
 from fishrl.viewer import Recording, make_env_scene, record_episodes, start_drawing
 from fishrl.viewer.film import write_film
 from fishrl.wrappers.minari import write_dataset
 from fishrl.wrappers.pettingzoo import FlowParallelEnv
 from fishrl.wrappers.stable_baselines import FlowVecEnv
+from tests.benchmark.test_rows import make_row
 from tests.envs.conftest import keep_straight
 from tests.envs.test_real_flow import TINY
 from tests.envs.test_wakes import RECIPE
+from tests.objectives.test_classification import fit, make_network, make_parts
 from tests.physics.flows import place_body
-from tests.process_state import leaving_process_as_it_was
 
+ROOT = Path(__file__).parents[1]
 EAGER = Flows(num_envs=2, compile=False)
 #: Actions of a few steps.
 TASK = Predation(**TINY, time_limit=2, control_interval_T=0.25, checks_per_action=10)
@@ -42,6 +73,14 @@ def run_solver(folder: Path) -> None:
     solver.sample(solver.markers())
     solver.load_state_dict(solver.state_dict())
     solver.close()
+
+
+def profile(folder: Path) -> None:
+    """Run under a profiler of the caller's."""
+    with cProfile.Profile() as profiler:
+        run_solver(folder)
+    seen = {getattr(entry.code, "co_name", "") for entry in profiler.getstats()}
+    assert {"reset_", "load_state_dict"} <= seen
 
 
 def run_steps(folder: Path) -> None:
@@ -66,6 +105,7 @@ def learn(folder: Path) -> None:
     learning = LearningSettings(flows=EAGER, warmup_frames=2, batch_size=2, hidden=(8,))
     run = RunSettings(folder=str(folder), name="run", total_frames=4, baselines=(), **few)
     train(task=TASK, learning=learning, run=run)
+    open_run(folder / "run")
     resume(folder / "run", total_frames=6)
     evaluate(folder / "run", episodes=1, flows=EAGER)
     load_policy(folder / "run")
@@ -102,7 +142,10 @@ def film(folder: Path) -> None:
     env = make_env(task=TASK, flows=replace(EAGER, num_envs=1), frames_per_action=every)
     starts, scene = TASK.sample_starts(1, torch.Generator().manual_seed(0)), make_env_scene(env)
     recording = Recording(scene=scene)
-    start_drawing(scene, flows={0: ""}, save=folder / "x.rrd").close()
+    flows = viewer.name_flows(TASK, [0], starts)
+    assert viewer.make_blueprint(scene, flows) and viewer.has_screen() in (True, False)
+    start_drawing(scene, flows=flows, save=folder / "x.rrd").close()
+    viewer.find_recording(folder / "x.rrd")
     record_episodes(
         env,
         keep_straight,
@@ -113,22 +156,79 @@ def film(folder: Path) -> None:
     write_film(recording, folder / "x.gif")
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        run_solver,
-        run_steps,
-        compile_nothing,
-        develop,
-        learn,
-        use_env,
-        use_wrappers,
-        write_data,
-        film,
-    ],
+def analyse(folder: Path) -> None:
+    """Compute from signals, fields, episodes and rows."""
+    wave = torch.sin(0.1 * torch.arange(500, dtype=torch.float64))
+    assert physics.measure_cycles(wave, 1.0).frequency == pytest.approx(
+        physics.compute_spectral_frequency(wave, 1.0), 0.01
+    )
+    physics.compute_strouhal(wave, 1.0, length=20.0, speed=0.1)
+    physics.compute_vorticity(torch.zeros(1, 2, 8, 8))
+    physics.compute_coefficient(physics.compute_pressure(torch.ones(2)), length=20.0, speed=0.1)
+    physics.compute_tau(length=24.0, speed=0.1, reynolds=100.0)
+    network, parts = make_network(), make_parts()
+    fit(network, parts, settings=FitSettings(num_epochs=1))
+    score_classifier(network, parts[2])
+    row = make_row("mine", 35.0, 5.0)
+    write_json(folder / "row.json", row.model_dump())
+    assert compare(make_task("quick"), TASK) and identify(make_task("station-v0"))
+    assert show_table([read_row(folder / "row.json")]) and rank(list_rows("station-v0", "test"))
+    assert find_version(list_versions()[0])
+
+
+def build(folder: Path) -> None:
+    """Make networks with a generator of their own, and a baseline."""
+    own: dict[str, Any] = {"hidden": (8,), "generator": torch.Generator().manual_seed(0)}
+    sizes = {"num_inputs": 4, "num_actions": 2}
+    modules.make_mlp((4, 8), generator=own["generator"])
+    modules.make_state_critic(num_inputs=4, **own)
+    for make in (
+        *(modules.make_actor, modules.make_continuous_actor, modules.make_value_actor),
+        *(modules.make_recurrent_value_actor, modules.make_twin_critics),
+        modules.make_twin_action_critics,
+    ):
+        make(**sizes, **own)
+    baseline("still", Predation)(RandomPolicy)
+    assert "still" in find_baselines(TASK) and load_plan("zoo/predation_sharp")
+
+
+CALLS = (
+    *(run_solver, profile, run_steps, compile_nothing, develop, learn, use_env, use_wrappers),
+    *(write_data, film, analyse, build),
 )
-def test_public_calls_leave_the_process_as_it_was(
-    call: Callable[[Path], None], tmp_path: Path
-) -> None:
+#: Called by others, or in need of a graphics driver.
+OTHERS = {
+    "complete",
+    "run_episodes",
+    "bang_bang",
+    "open_recording",
+    "write_screenshot",
+    *("fit_classifier", "split_episodes"),
+}
+FRESH = """
+import sys
+from pathlib import Path
+from tests.process_state import leaving_process_as_it_was
+
+from tests import test_process_state
+
+for call in test_process_state.CALLS:
     with leaving_process_as_it_was():
-        call(tmp_path)
+        (folder := Path(sys.argv[1], call.__name__)).mkdir()
+        call(folder)
+"""
+
+
+def test_public_calls_leave_a_fresh_process_as_it_was(tmp_path: Path) -> None:
+    """In one that has imported nothing before, no change hides behind an earlier one."""
+    command = [sys.executable, "-c", FRESH, str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert len(list(tmp_path.iterdir())) == len(CALLS)
+
+
+def test_every_public_function_is_called() -> None:
+    words = set(re.findall(r"\w+", Path(__file__).read_text(encoding="utf-8")))
+    packages = (benchmark, envs, modules, objectives, physics, training, viewer)
+    public = {name for package in packages for name in package.__all__ if name[0].islower()}
+    assert len(public) > 40 and not public - words - OTHERS

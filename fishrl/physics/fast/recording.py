@@ -41,7 +41,7 @@ def record(
     def watch(frame: FrameType, event: str, argument: object) -> None:
         names = frame.f_globals
         if event == "call" and frame.f_code.co_name == "call" and "extern_kernels" in names:
-            sys.setprofile(before)
+            _set_profiler(before)
             if _calls_kernels_alone(frame.f_code):
                 own = _note_calls(names, calls, scratch)
                 replaced.append((names, {name: names[name] for name in own}))
@@ -52,10 +52,18 @@ def record(
     try:
         run(*arguments)
     finally:
-        sys.setprofile(before)
+        _set_profiler(before)
         for names, own in replaced:
             names.update(own)
     return calls if replaced else [partial(run, *arguments)]
+
+
+def _set_profiler(profiler: Any) -> None:
+    """Let a profiler of the caller continue; one in C, as cProfile's, sets itself."""
+    if profiler is None or callable(profiler):
+        sys.setprofile(profiler)
+    else:
+        profiler.enable()
 
 
 def _calls_kernels_alone(code: CodeType) -> bool:
