@@ -122,7 +122,7 @@ class RunFolder:
 
 
 @contextmanager
-def naming_folder(path: Path) -> Iterator[None]:
+def naming_folder(path: Path, *, setting: str = "folder") -> Iterator[None]:
     """Raise ValueError, with a remedy, for a folder that the system does not let be made."""
     try:
         yield
@@ -130,8 +130,8 @@ def naming_folder(path: Path) -> Iterator[None]:
         raise
     except OSError as error:
         raise ValueError(
-            f"folder {path}: cannot be written ({error.strerror}); give another folder=..., or "
-            "change its permissions"
+            f"folder {path}: cannot be written ({error.strerror}); give another {setting}=..., "
+            "or change its permissions"
         ) from error
 
 

@@ -23,6 +23,7 @@ from fishrl.__main__ import list_programs
 ROOT = Path(__file__).parents[2]
 #: What Python reports of files: it is made, opened, renamed or removed.
 EVENTS = {"open", "os.mkdir", "os.rename", "os.remove", "os.rmdir"}
+WORKED = 99
 
 
 def find_module(program: str) -> str:
@@ -67,7 +68,7 @@ class Act:
         with suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGCONT)
 
-    def wait(self, *, until_held: bool = False, seconds: float = 240.0) -> None:
+    def wait(self, *, until_held: bool = False, seconds: float = 800.0) -> None:
         """Wait until it has ended, or perhaps is held."""
         deadline = time.monotonic() + seconds
         while self.status is None and not (until_held and self.is_held):
@@ -102,13 +103,17 @@ class Stage:
         folder: Path,
         hold_at: int = 0,
         glides: bool = False,
+        idles: bool = False,
     ) -> Act:
-        """Start a program; it stops at its ``hold_at``-th touch of a file in the folder."""
+        """Start a program; it stops at its ``hold_at``-th touch of a file in the folder.
+
+        With ``idles`` it ends with status ``WORKED`` where it would advance a flow.
+        """
         self._num += 1
         out = self._folder / f"{self._num}.txt"
         out.touch()
         request = {"program": program, "words": list(words), "out": str(out)}
-        request |= {"folder": str(folder), "hold_at": hold_at, "glides": glides}
+        request |= {"folder": str(folder), "hold_at": hold_at, "glides": glides, "idles": idles}
         return Act(self, self.ask(**request), out)
 
     def close(self) -> None:
@@ -119,7 +124,13 @@ class Stage:
 
 
 def play(
-    program: str, words: Sequence[str], out: str, folder: str, hold_at: int, glides: bool
+    program: str,
+    words: Sequence[str],
+    out: str,
+    folder: str,
+    hold_at: int,
+    glides: bool,
+    idles: bool,
 ) -> None:
     """Run a program in this process, and end it."""
     text = os.open(out, os.O_WRONLY | os.O_APPEND)
@@ -142,6 +153,12 @@ def play(
         from tests.envs.conftest import move_kinematically
 
         move_kinematically(pytest.MonkeyPatch())
+    if idles:
+        from fishrl.envs.flow_env import FlowEnv
+        from fishrl.physics import InPlaceSolver
+
+        for kind, name in ((FlowEnv, "_step"), (InPlaceSolver, "advance_")):
+            pytest.MonkeyPatch().setattr(kind, name, lambda *_, **__: os._exit(WORKED))
     atexit.register(lambda: here.with_suffix(".events").write_text(str(count)))
     sys.argv = [program, *words]
     sys.addaudithook(notice)

@@ -26,6 +26,7 @@ from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.settings import Settings
 from fishrl.training.baselines import make_pid
 from fishrl.training.callback import SILENT, Callback
+from fishrl.training.run_folder import naming_folder
 
 #: Share of random actions.
 RANDOM_SHARE = 0.5
@@ -90,7 +91,8 @@ def collect(settings: CollectionSettings, progress: Callback = SILENT) -> Tensor
         the flow nearest to it at the decision) and ``episode`` int64.
     """
     s, task, place = settings, settings.recorded_task, settings.place
-    place.mkdir(parents=True, exist_ok=True)
+    with naming_folder(place, setting="data_folder"):
+        place.mkdir(parents=True, exist_ok=True)
     pieces: list[TensorDict] = []
     num_done, env = 0, None
     progress.on_phase("collection", total=s.num_samples)
