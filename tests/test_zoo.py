@@ -13,6 +13,7 @@ from fishrl.envs import Flows, make_env, run_episodes
 from fishrl.envs.agents import average_fish
 from fishrl.training import load_plan, load_policy
 from fishrl.training.evaluation import fixed_starts
+from fishrl.training.export import describe_conditions
 from fishrl.zoo import find_policy, list_policies
 from tests.envs.conftest import move_kinematically
 
@@ -53,7 +54,10 @@ def test_its_folder_is_whole_and_small(name: str) -> None:
         sha256, file = line.split(maxsplit=1)
         assert hashlib.sha256((folder / file).read_bytes()).hexdigest() == sha256
     assert (folder / "metrics.csv").is_file()
-    assert "success rate" in (folder / "README.md").read_text()
+    card = (folder / "README.md").read_text()
+    assert "success rate" in card
+    for key, words in describe_conditions(load_plan(folder).task).items():
+        assert f"- {key}: {words}\n" in card
     assert sum(file.stat().st_size for file in folder.parent.rglob("*") if file.is_file()) < 6e6
 
 
@@ -64,4 +68,4 @@ def test_zoo_name_gives_way_to_a_folder_of_that_path(
         load_policy(f"zoo/{NAMES[0]}x")
     monkeypatch.chdir(tmp_path)
     shutil.copytree(find_policy("follower_small"), "zoo/mine")
-    assert load_plan("zoo/mine").preset == "follower_small"
+    assert load_plan("zoo/mine").preset == load_plan("follower_small").preset == "follower_small"

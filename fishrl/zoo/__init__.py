@@ -48,15 +48,15 @@ def find_policy(name: str) -> Path:
 
 
 def find_folder(path: str | Path) -> Path:
-    """Return the folder of ``zoo/<name>``, unless there is one of that path, or of ``hub:...``.
+    """Return the folder of ``zoo/<name>``, or ``<name>``, unless one is there, or of ``hub:...``.
 
     Any other is returned as it is.
     """
     if str(path).startswith(HUB):
         return fetch_policy(str(path))
     folder = Path(path).expanduser()
-    is_name = str(path).startswith(PREFIX) and not folder.exists()
-    return find_policy(str(path)) if is_name else folder
+    is_name = str(path).startswith(PREFIX) or str(path) in list_policies()
+    return find_policy(str(path)) if is_name and not folder.exists() else folder
 
 
 def fetch_policy(name: str) -> Path:
