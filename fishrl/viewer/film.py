@@ -163,7 +163,8 @@ class FlowAxes:
         body = Polygon(np.zeros((3, 2)), closed=True, **looks)
         self.axes.add_patch(body)
         above: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 7, "clip_on": True}
-        name = self.axes.text(0, 0, curve.name, color=colour, zorder=5, **above)
+        box = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "lw": 0}
+        name = self.axes.text(0, 0, curve.name, color=FISH, zorder=5, bbox=box, **above)
 
         def update(now: Frame) -> None:
             outline = self._place(now.values[curve.key])
