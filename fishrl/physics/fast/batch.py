@@ -150,10 +150,8 @@ class FlowBatch:
         is_whole = first is not None and len(first) == len(rows)
         return rows if rows.is_cuda and is_whole else rows.nonzero()[:, 0]
 
-    def write_(
-        self, rows: Tensor, f: Sequence[Tensor | None], corners: Tensor | None = None
-    ) -> None:
-        """Set populations and places of each grid; see ``InPlaceSolver.set_populations_``.
+    def write_(self, rows: Tensor, f: Sequence[Tensor | None]) -> None:
+        """Set populations of each grid; see ``InPlaceSolver.set_populations_``.
 
         ``rows`` ``[N]`` are indices, or ``[B]`` bool, and then ``f`` is of all flows.
         """

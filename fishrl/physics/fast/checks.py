@@ -52,9 +52,9 @@ def check_tensor(
 
 
 def check_populations(
-    f: Tensor | Sequence[Tensor | None], corners: Tensor | None, config: FlowConfig, num: int
-) -> tuple[Sequence[Tensor | None], Tensor | None]:
-    """Return populations ``[num, Q, Y, X]`` of each grid, and corners ``[num, G, 2]`` or None."""
+    f: Tensor | Sequence[Tensor | None], config: FlowConfig, num: int
+) -> Sequence[Tensor | None]:
+    """Return populations ``[num, Q, Y, X]`` of each grid, None for what its parent fills."""
     every, sizes = [f] if isinstance(f, Tensor) else f, config.list_grids()
     if len(every) != len(sizes):
         raise ValueError(
@@ -64,9 +64,7 @@ def check_populations(
     for grid, (width, height, _) in enumerate(sizes):
         if every[grid] is not None or not grid:
             check_tensor("f", every[grid], (num, Q, height, width))
-    if corners is not None:
-        check_tensor("corners", corners, (num, len(sizes), 2), dtype=torch.int64)
-    return every, corners
+    return every
 
 
 def read_frequency(frequency: float | Tensor | None, configs: Sequence[FlowConfig]) -> Tensor:

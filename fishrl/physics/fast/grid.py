@@ -14,7 +14,6 @@ from fishrl.physics.fast.transfer_parts import Moving, PatchMemory
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.levels.grids import Level
 from fishrl.physics.levels.patch import RING
-from fishrl.physics.levels.transfer import clamp_origin
 
 
 @dataclass(eq=False)
@@ -59,34 +58,6 @@ def find_moving(grid: Grid, number: int, by: Tensor) -> Moving:
     own = grid.batch.memory_of(number)
     origin = grid.origin[grid.batch.rows_of(number)]
     return Moving(own.incoming(0), origin, by, own.flow.bodies)
-
-
-def find_origins(grids: Sequence[Grid], corners: Tensor) -> list[Tensor]:
-    """Return the origin ``[N, 2]`` of each of a flow's grids from all corners ``[N, G, 2]``.
-
-    Raises:
-        ValueError: for a corner that is not on a node of its parent, or too near its edges.
-    """
-    places = dict(zip(map(id, grids), corners.unbind(1), strict=True))
-    origins = []
-    for number, grid in enumerate(grids):
-        start, unit = 0 * corners[:, 0], 1
-        if grid.parent is not None:
-            start, unit = places[id(grid.parent)], grid.parent.level.spacing
-        away, (_, low, high) = places[id(grid)] - start, grid.level.frame
-        origin = away // unit
-        is_right = (origin * unit == away) & (clamp_origin(origin, low, high) == origin)
-        if not is_right.all():
-            wrong, (first, last) = (
-                (~is_right).any(-1),
-                [tuple(unit * n for n in e) for e in (low, high)],
-            )
-            raise ValueError(
-                f"the corner of grid {number} is {tuple(away[wrong][0].tolist())} nodes from its "
-                f"parent's: allowed are multiples of {unit} from {first} to {last}"
-            )
-        origins.append(origin)
-    return origins
 
 
 def read_fluid(grid: Grid) -> Tensor:

@@ -13,7 +13,6 @@ from fishrl.physics.fast.batch import FlowBatch, make_fresh, name_numbers, resto
 from fishrl.physics.fast.grid import (
     Grid,
     find_moving,
-    find_origins,
     lay_together,
     read_fluid,
     read_vorticity,
@@ -309,18 +308,14 @@ class RefinedBatch:
         """Return the indices of ``rows`` ``[B]`` bool."""
         return rows.nonzero()[:, 0]
 
-    def write_(
-        self, rows: Tensor, f: Sequence[Tensor | None], corners: Tensor | None = None
-    ) -> None:
-        """Set populations and places of each grid, as ``FlowBatch.write_``."""
-        corners = self.find_corners()[rows] if corners is None else corners
-        origins = find_origins(self._grids, corners)
-        for grid, own, origin in zip(self._grids, f, origins, strict=True):
+    def write_(self, rows: Tensor, f: Sequence[Tensor | None]) -> None:
+        """Set populations of each grid, as ``FlowBatch.write_``."""
+        for grid, own in zip(self._grids, f, strict=True):
             if own is None and grid.parent is not None:
+                parent, origin = grid.parent.batch.populations()[rows], grid.origin[rows]
                 tau = grid.level.convert(self.flow.params).tau[rows]
-                own = fill_all(grid.size, grid.parent.batch.populations()[rows], origin, tau)
+                own = fill_all(grid.size, parent, origin, tau)
             grid.batch.write_(rows, [own])
-            grid.origin[rows] = origin
 
     def is_fine(self) -> Tensor:
         """Return ``[B]``: density and speed are within the method, and bodies in their patches."""

@@ -256,19 +256,15 @@ class InPlaceSolver:
         self._commands.forget(index)
 
     def set_populations_(
-        self,
-        f: Tensor | Sequence[Tensor | None],
-        rows: Tensor | None = None,
-        *,
-        corners: Tensor | None = None,
+        self, f: Tensor | Sequence[Tensor | None], rows: Tensor | None = None
     ) -> None:
         """Set all flows, or the N of ``rows`` ``[B]``, to shifted populations ``[N, Q, Y, X]``.
 
-        On a GPU ``f`` may be of all B flows. With levels give those of each grid, of N, coarsest
-        first, or None for what its parent fills; patches move to their ``corners`` ``[N, G, 2]``.
+        On a GPU ``f`` may be of all B flows. With levels give those of each grid where it is, of N,
+        coarsest first, or None for what its parent fills.
         """
         chosen = self._batch.choose_written(self._choose(rows), f)
-        self._batch.write_(chosen, *check_populations(f, corners, self.config, len(chosen)))
+        self._batch.write_(chosen, check_populations(f, self.config, len(chosen)))
 
     def command_(
         self,
