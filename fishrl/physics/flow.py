@@ -20,7 +20,6 @@ from fishrl.physics.levels.patch import (
     CLEARANCE,
     RING,
     Patch,
-    default_patches,
     find_room,
     fit_patch,
     inset,
@@ -150,8 +149,9 @@ class FlowConfig(Settings):
         """The patches of the finer levels, with their bodies' numbers; none with one level."""
         if self.levels == 1:
             return ()
-        given, bounds = self.patches or default_patches(self.bodies), self.list_bounds()
-        return tuple(fit_patch(patch, len(self.bodies), self.levels, bounds) for patch in given)
+        num, bounds = len(self.bodies), self.list_bounds()
+        given = self.patches or [Patch(bodies=(index,)) for index in range(num)]
+        return tuple(fit_patch(patch, num, self.levels, bounds) for patch in given)
 
     @property
     def coarsest_spacing(self) -> int:

@@ -15,15 +15,7 @@ from fishrl.physics.fast.recording import Call, record
 Trees = TypeVarTuple("Trees")
 
 
-class HasPopulations(Protocol):
-    """Memory of a group, as ``GroupMemory``, or of a patch."""
-
-    @property
-    def populations(self) -> Tensor:
-        """Its populations, or some."""
-
-
-Memory = TypeVar("Memory", bound=HasPopulations)
+Memory = TypeVar("Memory")
 _GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 
 
@@ -61,13 +53,13 @@ class Part:
         self._scratch: list[Tensor] = []  # memory between the kernels, shared by all groups
         self.run: InPlaceFunction = self._act_on
 
-    def bind(self, memory: HasPopulations) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
+    def bind(self, memory: object) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
         """Return the arguments of ``run`` for a group, at even and at odd steps."""
         even, odd = self.collect(memory, 0), self.collect(memory, 1)
-        self._form = pytree.tree_structure(even)
-        if self._any_grid and memory.populations.device.type == "cpu":
+        leaves, self._form = pytree.tree_flatten(even)
+        if self._any_grid and leaves[0].device.type == "cpu":
             self._num_varying = len(pytree.tree_leaves(even[0]))
-        return pytree.tree_leaves(even), pytree.tree_leaves(odd)
+        return leaves, pytree.tree_leaves(odd)
 
     @property
     def key(self) -> str | None:

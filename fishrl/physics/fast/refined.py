@@ -19,7 +19,6 @@ from fishrl.physics.fast.grid import (
 )
 from fishrl.physics.fast.part import Bound, Part, Repeater, Step, compile_parts, copy_tree
 from fishrl.physics.fast.transfer_parts import (
-    Chain,
     Occasionally,
     make_filling,
     make_moving,
@@ -97,9 +96,7 @@ class RefinedBatch:
         by = torch.zeros_like(self._root.origin[self._root.batch.rows_of(number)])
         by = by.repeat(len(self._grids), 1, 1)
         each = iter(by)
-        chains = [
-            Chain([find_moving(grid, number, next(each)) for grid in own]) for own in self._moving
-        ]
+        chains = [[find_moving(grid, number, next(each)) for grid in own] for own in self._moving]
         choices, moves = (
             [(part, part.bind(chain)) for part, chain in zip(parts, chains, strict=True)]
             for parts in (self._choices, self._moves)

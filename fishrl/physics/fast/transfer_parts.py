@@ -39,11 +39,6 @@ class PatchMemory(NamedTuple):
     parent: GroupMemory
     origin: Tensor  #: ``[B, 2]`` int64, as ``PatchState.origin``
 
-    @property
-    def populations(self) -> Tensor:
-        """Populations of the patch."""
-        return self.patch.populations
-
 
 class Cells(NamedTuple):
     """Where populations of some nodes lie in a buffer."""
@@ -141,21 +136,8 @@ class Moving(NamedTuple):
     by: Tensor  #: ``[B, 2]`` int64, nodes of the parent by which to move
     bodies: tuple[BodyState, ...]  #: in it, if it is the finest
 
-    @property
-    def populations(self) -> Tensor:
-        """Some of its populations."""
-        return self.nodes[0]
 
-
-class Chain(NamedTuple):
-    """A group's patches around one body, coarsest first."""
-
-    patches: list[Moving]
-
-    @property
-    def populations(self) -> Tensor:
-        """Some of their populations."""
-        return self.patches[0].nodes[0]
+Chain = list[Moving]  # around one body, coarsest first
 
 
 def make_shift_choice(levels: Sequence[Level]) -> Part:
@@ -166,8 +148,8 @@ def make_shift_choice(levels: Sequence[Level]) -> Part:
     frames, ahead = [level.frame for level in levels], levels[-1].ahead
 
     def collect(memory: Chain, parity: int) -> tuple[Tensor, Tensor, list[Tensor], list[Tensor]]:
-        body = memory.patches[-1].bodies[0]
-        origins, by = [m.origin for m in memory.patches], [m.by for m in memory.patches]
+        body = memory[-1].bodies[0]
+        origins, by = [m.origin for m in memory], [m.by for m in memory]
         return body.position, body.heading, origins, by
 
     def act(position: Tensor, heading: Tensor, origins: list[Tensor], shifts: list[Tensor]) -> None:
@@ -187,7 +169,7 @@ def make_moving(device: torch.device) -> Part:
     def collect(
         memory: Chain, parity: int
     ) -> tuple[list[list[Tensor]], list[Tensor], list[Tensor], list[Tensor]]:
-        nodes, origins, by, bodies = zip(*memory.patches, strict=True)
+        nodes, origins, by, bodies = zip(*memory, strict=True)
         return [*nodes], [*origins], [*by], [body.position for own in bodies for body in own]
 
     def act(

@@ -67,11 +67,6 @@ class Patch(Settings):
         return cls(bodies=None, size=(right - left, top - bottom), centre=centre)
 
 
-def default_patches(bodies: Sequence[BodyConfig]) -> tuple[Patch, ...]:
-    """Return one patch around each body."""
-    return tuple(Patch(bodies=(index,)) for index in range(len(bodies)))
-
-
 def inset(level: int, num_levels: int) -> int:
     """Return how far a patch's grid keeps from that of the coarsest patch, finest nodes.
 
