@@ -2,7 +2,7 @@
 
 from hashlib import sha256
 from math import isclose
-from statistics import fmean
+from statistics import fmean, stdev
 
 from studies.tables import STUDIES, read_data
 
@@ -166,6 +166,16 @@ def check_reproduction() -> None:
         assert min(map(float, both["ours"].split(", "))) > 89
         ours, papers = (list(map(float, none[name].split(", "))) for name in ("ours", "paper"))
         assert all(a > b for a, b in zip(ours, papers, strict=True))
+
+
+def check_turning_patch() -> None:
+    """Patches of any size scatter about the uniform grid as that does between starts."""
+    rows = read_data("turning_patch", "turns")
+    scatter = stdev(float(row["power, uniform, %"]) for row in rows)
+    for size in ("1.5", "2.0", "2.5"):
+        found = [float(row[f"power, {size} L, %"]) for row in rows]
+        assert abs(fmean(found)) < scatter / len(found) ** 0.5  # its standard error
+        assert 0.5 * scatter < stdev(found) < 2.0 * scatter
 
 
 def check_robustness() -> None:

@@ -84,9 +84,8 @@ COMMANDED = {**TURN, "motion": "commanded", "turns": [0, 0, 45, 45, 0]}
 #: What else changes the turns.
 VARIED = ({"patch_bl": 2.5}, {"levels": 1, "places": [[7.503, 2.204]]})
 VARIED_NOTE = (
-    "Vortices of the turn leave the patch. Its beats also depend on where on the grid it starts: "
-    "with a patch of 2.5 L, not 1.5 L, and on the uniform grid with the start part of a node "
-    "aside, deviations are"
+    "Uniform grids differ as much between starts. With a patch of 2.5 L, not 1.5 L, and on the "
+    "uniform grid with the start part of a node aside, deviations are"
 )
 FREE, TURNS = "free fish", "turns by 90°"
 GROUPS = (
