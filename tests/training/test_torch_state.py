@@ -6,13 +6,11 @@ from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
 from fishrl.envs import Flows, Predation, make_env
 from fishrl.physics import BounceBack, DCylinder, FlowConfig, ImmersedBoundary, InPlaceSolver, Skin
-from fishrl.training import complete
 from tests.envs.conftest import CONTINUOUS
 from tests.envs.test_real_flow import TINY
 from tests.training.conftest import QUICK, Toy, read_rows
@@ -122,19 +120,6 @@ def test_global_torch_state_changes_no_training(toy: Toy, whole: Any) -> None:
         training = toy.begin(name="run", **QUICK)
         training.run()
     assert toy.rows("run") == read_rows(whole.folder.path)
-
-
-def test_training_leaves_random_generators_of_the_caller(toy: Toy) -> None:
-    def draw() -> tuple[float, float, float]:
-        return random.random(), np.random.random(), float(torch.rand(()))  # noqa: NPY002
-
-    state = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
-    expected = draw()
-    random.setstate(state[0])
-    np.random.set_state(state[1])  # noqa: NPY002
-    torch.set_rng_state(state[2])
-    complete(toy.begin(name="run", **{**QUICK, "total_frames": 16}))
-    assert draw() == expected
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.int16, torch.int32, torch.bool])
