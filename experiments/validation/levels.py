@@ -69,6 +69,8 @@ class Group:
 
 Given = Mapping[str, Any]
 FINE: Given = {"levels": 3, "body_length": 100, "reynolds": 1000.0}
+TWO: Given = {"levels": 2, "body_length": 64}
+DISC: Given = {"levels": 2, "reynolds": 200.0, "diameter": 20}
 MIDDLE = {"places": [[5.5, 2.6]], "edges": "moving"}
 STREAM = {"places": [[5.0, 2.5]], "edges": "stream", "stream": 0.04}
 ANGLES: Mapping[str, Given] = {
@@ -93,14 +95,13 @@ GROUPS = (
         FREE,
         SWIM,
         {
-            f"L = {length}, {levels} levels, Re = {reynolds}": {
-                "levels": levels,
-                "body_length": length,
-                "reynolds": float(reynolds),
+            f"L = {grid['body_length']}, {grid['levels']} levels, Re = {re}": {
+                **grid,
+                "reynolds": float(re),
                 "num_beats": 10,
             }
-            for length, levels in ((100, 3), (64, 2))
-            for reynolds in (500, 7142)
+            for grid in (FINE, TWO)
+            for re in (500, 7142)
         },
         is_closed=True,
     ),
@@ -115,7 +116,7 @@ GROUPS = (
         {**SWIM, "turned": 0.003},
         {
             "commanded": COMMANDED,
-            "commanded, L = 64, 2 levels": {**COMMANDED, "levels": 2, "body_length": 64},
+            "commanded, L = 64, 2 levels": {**COMMANDED, **TWO},
             "bending": {**TURN, "motion": "bending", "turns": [0, 0, *[15] * 8, 0]},
         },
         is_closed=True,
@@ -126,8 +127,7 @@ GROUPS = (
         SWIM,
         {
             "L = 64, 2 levels": {
-                "levels": 2,
-                "body_length": 64,
+                **TWO,
                 "places": [[6.1, 2.8], [3.9, 2.2]],
                 "headings": [180.0, 0.0],
                 "shared": [[2.9, 1.5], [7.1, 3.5]],
@@ -140,14 +140,9 @@ GROUPS = (
         "wakes",
         WAKE,
         {
-            "cylinder, Re = 100": {"levels": 2, "reynolds": 100.0, "diameter": 20},
-            "cylinder, Re = 200": {"levels": 2, "reynolds": 200.0, "diameter": 20},
-            "half disc, Re = 200": {
-                "levels": 2,
-                "reynolds": 200.0,
-                "diameter": 26,
-                "is_half": True,
-            },
+            "cylinder, Re = 100": {**DISC, "reynolds": 100.0},
+            "cylinder, Re = 200": DISC,
+            "half disc, Re = 200": {**DISC, "diameter": 26, "is_half": True},
         },
         hold,
     ),
