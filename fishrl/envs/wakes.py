@@ -102,7 +102,7 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path) -> WakeBank:
             take_lock(file, waits=True)
             if not path.is_file():  # else another process or thread has just developed them
                 num = len(recipe.speeds)
-                logger.info("developing %d wake(s), once, for a few minutes: %s", num, path)
+                logger.warning("developing %d wake(s), once, for a few minutes: %s", num, path)
                 bank = develop_wakes(recipe)
                 with staged(path) as stage:
                     torch.save({name: getattr(bank, name) for name in names}, stage)
