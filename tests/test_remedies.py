@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 import fishrl
-from fishrl.envs import Predation
+from fishrl.envs import Predation, PredationPair
+from fishrl.envs.changes import StreamSwitches
 from fishrl.envs.control import Bend, Turn
 from fishrl.physics import (
     BounceBack,
@@ -141,6 +142,9 @@ CASES: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (Predation, {"reynolds": 1e5}),
     (Predation, {"control": Turn(turn_degrees=170.0), "max_wall_speed": 0.15}),
     (make_bend, {"response_T": 0.05}),
+    (Predation, {"start_x_bl": (9.5, 9.6)}),
+    (PredationPair, {"start_gap_bl": 4.5}),
+    (StreamSwitches, {"interval_T": 0.9}),
 ]
 
 

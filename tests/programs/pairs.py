@@ -204,7 +204,14 @@ PAIRS = {
     "training": Pair(
         program="train", words=[*TRAINING, "name=run"], read=read_trainings, touches=180
     ),
-    "unnamed trainings": Pair(program="train", words=TRAINING, read=read_trainings, touches=180),
+    "unnamed trainings": Pair(
+        program="train",
+        words=TRAINING,
+        values=("seed=0", "seed=0"),  # of one name
+        read=read_trainings,
+        touches=180,
+        can_refuse=False,
+    ),
     "evaluation": Pair(
         program="evaluate",
         words=[*POLICY, *GLIDING, "task.time_limit=2", "episodes=1", "save={}/row.json"],
