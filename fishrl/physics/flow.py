@@ -217,8 +217,9 @@ class FlowConfig(Settings):
 
     @property
     def num_bytes(self) -> int:
-        """Size of the populations of one flow in bytes, in single precision."""
-        return 4 * Q * sum(width * height for width, height, _ in self.list_grids())
+        """Bytes of one flow in single precision, with rings of its grids and relaxation rates."""
+        cells = sum((width + 10) * (height + 2) for width, height, _ in self.list_grids())
+        return 4 * (Q + bool(self.sponges)) * cells
 
     def list_grids(self) -> list[tuple[int, int, int]]:
         """Return width and height of each grid in its own nodes, and their spacing, coarsest first.

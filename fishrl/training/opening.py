@@ -86,22 +86,30 @@ class Opened:
             _check_cluster(plan)
         check_device(plan.flows.device)
         check_device(plan.policy_device)
-        spec = self.spec
+        for device, parts in self.count_bytes().items():
+            check_memory(device=device, **parts)
+        _ = self.baselines
+        if self.checkpoint is not None:
+            _ = self.checkpoint.files
+
+    def count_bytes(self) -> dict[str, dict[str, float]]:
+        """Return by device what will be in its memory at once, and how much, bytes."""
+        plan, spec, config = self.plan, self.spec, self.task.flow_config()
         transition = 2 * (spec.num_inputs + spec.num_critic_inputs + spec.num_actions)
+        # the eager step of the flows that advance together has temporary fields of its own
+        together = plan.flows.num_envs if plan.flows.device != "cpu" else 1
+        copies = 2 * plan.flows.num_envs + (0 if plan.flows.compile else 4 * together)
         needed: dict[str, dict[str, float]] = {plan.flows.device: {}, plan.policy_device: {}}
-        flows = self.task.flow_config().num_bytes * plan.flows.num_envs
-        needed[plan.flows.device]["flows and their copy at evaluations and checkpoints"] = 2 * flows
+        needed[plan.flows.device]["flows and their copy at evaluations and checkpoints"] = (
+            copies * config.num_bytes
+        )
         needed[plan.policy_device] |= {
             "networks": plan.algorithm.count_bytes(
                 spec, has_average=bool(plan.actor_average) or plan.scale_inputs
             ),
             "buffer": 4 * transition * plan.buffer_size * self.task.num_fish,
         }
-        for device, parts in needed.items():
-            check_memory(device=device, **parts)
-        _ = self.baselines
-        if self.checkpoint is not None:
-            _ = self.checkpoint.files
+        return needed
 
     def enter(self) -> "Opened":
         """Return the run with its folder, which is made for a new one, with its classifier."""

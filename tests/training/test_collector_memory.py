@@ -1,40 +1,96 @@
 """What is in memory twice: flows while an evaluation borrows them, nothing of a checkpoint."""
 
+import ctypes
+import gc
+import json
+import re
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from torch import Tensor
 from torchrl.data import LazyTensorStorage
 
 from fishrl.envs import Flows, Predation
 from fishrl.training import Plan, open_run
 from fishrl.training.loop import Training
-from tests.envs.test_real_flow import TINY
+from fishrl.training.opening import Opened
 from tests.training.conftest import QUICK, Toy
 
+#: Nodes of the fish, flows and levels of trainings that take some 100 MB.
+FEW, MANY = ((64, 8, 1), (64, 12, 2)), ((24, 96, 1), (64, 16, 1), (150, 1, 1), (100, 16, 3))
 
-def test_evaluation_holds_one_copy_of_the_flows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    task, copied, copy = Predation(**TINY), list[int](), Tensor.__deepcopy__
 
-    def count(tensor: Tensor, memo: Any) -> Tensor:
-        copied.append(tensor.numel() * tensor.element_size())
-        return copy(tensor, memo)
-
-    flows = Flows(num_envs=2, compile=False)
-    training = Training(open_run(Plan(task=task, flows=flows, folder=str(tmp_path), hidden=(8,))))
-    env = training.collector.env
-    before = env.base_env.solver.state_dict()
-    monkeypatch.setattr(Tensor, "__deepcopy__", count)
-    with training.collector.lend_env():
-        env.base_env.solver.advance_(2)
+def measure(folder: Path, length: int, num_envs: int, levels: int) -> tuple[Opened, int]:
+    """Return a run and the bytes that it took, at most, to make, lend, save and read its flows."""
+    task = Predation(body_length=length, levels=levels, reynolds=300.0, wall_margin_bl=0.2)
+    flows, name = Flows(num_envs=num_envs, compile=False), f"{length}-{num_envs}-{levels}"
+    plan = Plan(
+        task=task,
+        flows=flows,
+        folder=str(folder),
+        name=name,
+        hidden=(8,),
+        batch_size=9,
+        buffer_size=9,
+    )
+    opened, before = open_run(plan), restart_peak()
+    training = Training(opened)
+    solver = training.collector.env.base_env.solver
+    before_it = {name: value.sum() for name, value in solver.state_dict().items()}
+    with training.collector.lend_env() as env:
+        env.reset()
+        solver.advance_(2**levels, rows=torch.arange(num_envs) == 0)
+    training._save(training.folder.last)
+    after = {name: value.sum() for name, value in solver.state_dict().items()}
+    assert all(value.equal(after[name]) for name, value in before_it.items())
+    del solver
     training.close()
-    assert sum(copied) < task.flow_config().num_bytes
-    after = env.base_env.solver.state_dict()
-    assert all(value.equal(after[name]) for name, value in before.items())
+    del training, env
+    gc.collect()
+    Training(open_run(folder / name, total_frames=10**7)).close()
+    return opened, read_peak() - before
+
+
+def restart_peak() -> int:
+    """Return the resident memory, bytes, and let the largest be counted from here."""
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)  # what it keeps of former sizes
+    Path("/proc/self/clear_refs").write_text("5")
+    return read_peak()
+
+
+def read_peak() -> int:
+    found = re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())
+    assert found
+    return 1024 * int(found[1])
+
+
+def compare_all(folder: Path, sizes: str) -> None:
+    """Write what each size took and what the check of its run counts."""
+    measure(folder, 24, 2, 1)  # imports
+    found = []
+    for size in json.loads(sizes):
+        opened, peak = measure(folder, *size)
+        found.append([size, peak, sum(opened.count_bytes()["cpu"].values())])
+        (folder / "found.json").write_text(json.dumps(found))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads Linux's peak of a process")
+@pytest.mark.parametrize("sizes", [FEW, pytest.param(MANY, marks=pytest.mark.slow)])
+def test_check_of_memory_counts_what_a_training_takes(sizes: Any, tmp_path: Path) -> None:
+    """In a process of its own, whose allocator holds nothing from before."""
+    code = f"from {__name__} import *; compare_all(Path(sys.argv[1]), sys.argv[2])"
+    command = [sys.executable, "-c", code, str(tmp_path), json.dumps(sizes)]
+    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "found.json").read_text())
+    for (_, num_envs, levels), peak, said in found:
+        own = 0.35e6 * num_envs * levels  # of Python: views of each flow on each grid
+        assert 0.9 * said < peak < 1.05 * said + own, found
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads Linux's list of mapped files")
