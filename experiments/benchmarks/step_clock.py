@@ -79,6 +79,7 @@ def time_parts(solver: InPlaceSolver, num_steps: int) -> Iterator[dict[str, floa
 def main() -> None:
     """Answer requests until the input ends."""
     torch.set_num_threads(1)
+    torch.set_flush_denormal(True)  # as a step does, of which parts are called here
     (preset,) = sys.argv[1:]
     solver, period = start(preset)
     state, config = solver.state_dict(), solver.config
