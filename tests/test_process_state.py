@@ -166,7 +166,9 @@ def analyse(folder: Path) -> None:
     physics.compute_vorticity(torch.zeros(1, 2, 8, 8))
     physics.compute_coefficient(physics.compute_pressure(torch.ones(2)), length=20.0, speed=0.1)
     physics.compute_tau(length=24.0, speed=0.1, reynolds=100.0)
-    network, parts = make_network(), make_parts()
+    with torch.random.fork_rng(devices=[]):  # layers draw from the global generator, too
+        network = make_network()
+    parts = make_parts()
     fit(network, parts, settings=FitSettings(num_epochs=1))
     score_classifier(network, parts[2])
     row = make_row("mine", 35.0, 5.0)
@@ -180,14 +182,15 @@ def build(folder: Path) -> None:
     """Make networks with a generator of their own, and a baseline."""
     own: dict[str, Any] = {"hidden": (8,), "generator": torch.Generator().manual_seed(0)}
     sizes = {"num_inputs": 4, "num_actions": 2}
-    modules.make_mlp((4, 8), generator=own["generator"])
-    modules.make_state_critic(num_inputs=4, **own)
-    for make in (
-        *(modules.make_actor, modules.make_continuous_actor, modules.make_value_actor),
-        *(modules.make_recurrent_value_actor, modules.make_twin_critics),
-        modules.make_twin_action_critics,
-    ):
-        make(**sizes, **own)
+    with torch.random.fork_rng(devices=[]):  # layers draw from the global generator, too
+        modules.make_mlp((4, 8), generator=own["generator"])
+        modules.make_state_critic(num_inputs=4, **own)
+        for make in (
+            *(modules.make_actor, modules.make_continuous_actor, modules.make_value_actor),
+            *(modules.make_recurrent_value_actor, modules.make_twin_critics),
+            modules.make_twin_action_critics,
+        ):
+            make(**sizes, **own)
     baseline("still", Predation)(RandomPolicy)
     assert "still" in find_baselines(TASK) and load_plan("zoo/predation_sharp")
 

@@ -3,7 +3,6 @@
 import itertools
 import math
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 
 import torch
 from tensordict.nn import InteractionType, TensorDictModule
@@ -14,14 +13,6 @@ from torchrl.modules import MaskedCategorical, NormalParamExtractor, Probabilist
 #: Logit of illegal actions. exp(-1e9) is exactly 0 in float32 and bfloat16, and the logit stays
 #: finite in the loss, where an infinite one would give 0 * inf.
 ILLEGAL_LOGIT = -1e9
-
-
-def keep_global(generator: torch.Generator | None) -> AbstractContextManager[None]:
-    """Return a context in which torch's constructors draw weights that ``generator`` replaces.
-
-    They draw from the global generator, which is then as before; without another it advances.
-    """
-    return nullcontext() if generator is None else torch.random.fork_rng(devices=[])
 
 
 def make_mlp(
@@ -39,8 +30,7 @@ def make_mlp(
         raise ValueError(f"layer widths = {list(widths)}: must be at least 1")
     layers: list[nn.Module] = []
     for fan_in, fan_out in itertools.pairwise(widths):
-        with keep_global(generator):
-            linear = nn.Linear(fan_in, fan_out)
+        linear = nn.Linear(fan_in, fan_out)
         bound = 1.0 / math.sqrt(fan_in)
         nn.init.uniform_(linear.weight, -bound, bound, generator=generator)
         nn.init.uniform_(linear.bias, -bound, bound, generator=generator)

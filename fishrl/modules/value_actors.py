@@ -12,7 +12,7 @@ from torchrl.envs import TensorDictPrimer
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import EGreedyModule, LSTMModule, QValueModule
 
-from fishrl.modules.actors import keep_global, make_mlp
+from fishrl.modules.actors import make_mlp
 
 #: Keys of the LSTM state; the network writes the new state under ``("next", key)``.
 MEMORY = ("recurrent_state_h", "recurrent_state_c")
@@ -65,13 +65,12 @@ def make_recurrent_value_actor(
                 nn.Sequential(encoder, nn.ReLU()), in_keys=["observation"], out_keys=["seen"]
             )
         )
-    with keep_global(generator):
-        memory = LSTMModule(
-            input_size=before[-1] if before else num_inputs,
-            hidden_size=size,
-            in_keys=["seen" if before else "observation", *MEMORY],
-            out_keys=["remembered", *(("next", key) for key in MEMORY)],
-        )
+    memory = LSTMModule(
+        input_size=before[-1] if before else num_inputs,
+        hidden_size=size,
+        in_keys=["seen" if before else "observation", *MEMORY],
+        out_keys=["remembered", *(("next", key) for key in MEMORY)],
+    )
     with torch.no_grad():
         for weight in memory.parameters():  # the distribution of nn.LSTM
             weight.uniform_(-1.0 / math.sqrt(size), 1.0 / math.sqrt(size), generator=generator)

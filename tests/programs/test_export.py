@@ -27,12 +27,13 @@ TINY = [
     "task.domain_bl=[5.0,3.0]", "task.start_x_bl=[2.5,3.5]", "task.start_y_bl=[1.2,1.8]",
     "task.food_x_bl=1.0", "task.food_y_bl=1.5", "task.food_limits_bl=[1.0,2.0]",
 ]  # fmt: skip
+NOT_SIMULATED = ("save", "preset", "signals")
 
 
 @pytest.fixture(scope="module")
 def flow() -> Any:
     given = vars(export.main.read([*TINY, "save=x.nc"]))
-    return export.simulate(**{n: v for n, v in given.items() if n not in ("save", "preset")})
+    return export.simulate(**{n: v for n, v in given.items() if n not in NOT_SIMULATED})
 
 
 def test_fields_are_in_body_lengths_and_periods(flow: Any) -> None:
@@ -143,7 +144,7 @@ def test_exports_hold_the_outlines_of_finer_grids(tmp_path: Path) -> None:
         "task.start_y_bl=[2.2,2.8]",
     ]
     given = vars(export.main.read(words))
-    flow = export.simulate(**{n: v for n, v in given.items() if n not in ("save", "preset")})
+    flow = export.simulate(**{n: v for n, v in given.items() if n not in NOT_SIMULATED})
     last, path = flow.isel(time=-1), tmp_path / "flow.pvd"
     (low, _, high, _), outline = last["patch_1"].values, last["outline_0"].values
     assert (outline > low).all() and (outline < high).all()
