@@ -35,7 +35,7 @@ __all__ = ["TASKS", "FlowSingleEnv", "FlowVectorEnv", "make_single", "make_vecto
 
 _NAMES = list_tasks()
 #: Classes of tasks and all presets by id; add your own by ``gymnasium.register`` as below. Where
-#: there is ``predation-v0``, Gymnasium allows no ``predation``.
+#: there is ``predation-v1``, Gymnasium allows no ``predation``.
 TASKS: dict[str, Callable[..., AbstractTask]] = {
     **{f"fishrl/{task.__name__}-v0": task for task in (Predation, KarmanGait, Follower)},
     **{f"fishrl/{name}": partial(make_task, name) for name in _NAMES if f"{name}-v0" not in _NAMES},

@@ -260,7 +260,7 @@ OTHERS = {
     "score": Pair(
         program="score",
         words=[
-            *("policy=random", "task=predation-quick-v0", "split=validation", *EAGER),
+            *("policy=random", "task=predation-quick-v1", "split=validation", *EAGER),
             *("flows.num_envs=32", "save={}/row.json"),
         ],
         values=("trained=1", "trained=2"),

@@ -16,7 +16,7 @@ from fishrl.programs.score import main, score
 from fishrl.wrappers.stable_baselines import FlowVecEnv
 
 pytestmark = pytest.mark.usefixtures("kinematic")
-TASK = "predation-quick-v0"
+TASK = "predation-quick-v1"
 EAGER: dict[str, Any] = {"flows": Flows(num_envs=96, compile=False)}
 
 

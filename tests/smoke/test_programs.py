@@ -157,7 +157,7 @@ def test_each_baseline_is_evaluated(task: str, policy: str) -> None:
 
 @pytest.mark.usefixtures("kinematic")
 def test_policy_is_scored(tmp_path: Path) -> None:
-    chosen = ["policy=pursuit", "task=predation-quick-v0", "split=validation"]
+    chosen = ["policy=pursuit", "task=predation-quick-v1", "split=validation"]
     _run("score", *chosen, *EAGER, "flows.num_envs=32", f"save={tmp_path / 'row.json'}")
     assert (tmp_path / "row.json").is_file()
 
