@@ -4,7 +4,9 @@ import ast
 import inspect
 import re
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
+from traceback import walk_tb
 from typing import Any
 
 import pytest
@@ -27,9 +29,14 @@ from fishrl.physics import (
     compute_tau,
 )
 from fishrl.settings import list_fields
+from tests.remedies import ENVS, FLOWS, OUT, Case
 
 FAST, BLURRED = Boundaries(left=NonEquilibrium(velocity=(1.0, 0.0))), ImmersedBoundary()
 SOURCES = sorted(Path(fishrl.__file__).parent.rglob("*.py"))
+
+
+def read_trees() -> dict[Path, ast.AST]:
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
 
 
 def render(node: ast.AST) -> str:
@@ -42,11 +49,11 @@ def render(node: ast.AST) -> str:
     return "".join(map(render, parts))
 
 
-def list_messages(tree: ast.AST) -> Iterator[str]:
-    """List the texts of all errors that are raised."""
+def list_messages(tree: ast.AST) -> Iterator[tuple[range, str]]:
+    """List the lines and texts of all errors that are raised."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
-            yield "".join(map(render, node.exc.args))
+            yield node.lineno, "".join(map(render, node.exc.args))
 
 
 def list_names(tree: ast.AST) -> Iterator[str]:
@@ -65,13 +72,13 @@ def list_names(tree: ast.AST) -> Iterator[str]:
 
 
 def test_settings_that_errors_name_exist() -> None:
-    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
+    trees = read_trees()
     known = {name for tree in trees.values() for name in list_names(tree)}
     known |= {path.stem for path in SOURCES}
     found = {
         (path.name, name): message
         for path, tree in trees.items()
-        for message in list_messages(tree)
+        for _, message in list_messages(tree)
         for name in re.findall(r"(?<![\w.])[a-z]+(?:_[a-z0-9]+)+\b", message)
     }
     assert len(found) > 80
@@ -169,3 +176,62 @@ def is_accepted(make: Callable[..., Any], given: dict[str, Any]) -> bool:
     except ValueError:
         return False
     return True
+
+
+ALL = [*FLOWS, *ENVS]
+#: What is to be done, at the begin of a clause.
+ADVISED = re.compile(
+    r"(?:[:;,] |^|\b(?:or|and) )(?:append|bend|call|change|choose|collect|configure|create|enlarge"
+    r"|exclude|free|give|increase|keep|leave|lower|make|measure|move|name|raise|record|remove"
+    r"|rename|repair|repeat|reset|score|shorten|slow|stack|start|take|tilt|train|turn|use|wait"
+    r"|widen)\b|\bat (?:least|most)\b"
+)
+#: Advice that is not tried here, and why.
+UNTRIED = {
+    "sheds too few vortices": "tests/envs/test_wakes.py develops wakes of both durations",
+    "diverged: lower max_wall_speed": "it would take minutes",
+    "make another env": "it needs a second device",
+    "make a new one": "of a solver that was closed, or whose workers have ended",
+    "make a new solver": "of a solver that was closed, or whose workers have ended",
+    "make another one, and load_state_dict": "tests/physics/fast/test_solver.py does it",
+    "append the transform that writes it": "tests/envs/test_transforms.py does it",
+    "has no mirror image; give its": "tests/envs/test_mirror.py gives them to tasks",
+}
+
+
+def provoke(make: Callable[..., Any], given: dict[str, Any]) -> tuple[str, tuple[Path, int]]:
+    """Return the message of an error of fishrl, and where it is raised."""
+    try:
+        make(**given)
+    except (ValueError, OSError, RuntimeError, TypeError) as error:
+        passed = [(Path(frame.f_code.co_filename), n) for frame, n in walk_tb(error.__traceback__)]
+        return str(error), [place for place in passed if place[0] in SOURCES][-1]
+    return pytest.fail("not refused")
+
+
+@cache
+def begin(case: Case) -> tuple[str, tuple[Path, int]]:
+    make, name, bad, _ = case
+    return provoke(make, {} if bad is OUT else {name: bad})
+
+
+@pytest.mark.parametrize("case", ALL, ids=lambda case: case[1])
+def test_setting_that_an_error_names_helps(case: Case) -> None:
+    make, name, _, good = case
+    message, _ = begin(case)
+    assert re.search(rf"\b{name}\b", message), message
+    make(**{} if good is OUT else {name: good})
+
+
+def test_all_advice_of_errors_is_tried() -> None:
+    tried = {begin(case)[1] for case in ALL} | {provoke(*case)[1] for case in CASES}
+    advice = {
+        (path, line): message
+        for path, tree in read_trees().items()
+        for line, message in list_messages(tree)
+        if ADVISED.search(message)
+        and path.relative_to(SOURCES[0].parent).parts[0] in ("envs", "physics")
+    }
+    left = [message for place, message in advice.items() if place not in tried]
+    assert not [message for message in left if not any(part in message for part in UNTRIED)]
+    assert all(any(part in message for message in left) for part in UNTRIED)

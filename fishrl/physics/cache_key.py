@@ -21,7 +21,10 @@ def hash_sources(*names: str) -> str:
     """
     digest = hashlib.sha256()
     for name in ("fishrl.physics", *names):
-        spec = find_spec(name)
+        try:
+            spec = find_spec(name)
+        except ModuleNotFoundError:  # of the package that would hold it
+            spec = None
         if spec is None or spec.origin is None:
             raise ValueError(f"no package or module {name!r}: give its dotted name")
         folder = Path(spec.origin).parent

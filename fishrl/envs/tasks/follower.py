@@ -180,7 +180,7 @@ class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
             raise ValueError(
                 f"start {i}: {place[i].tolist()} L behind the leader, {gap[i]:.3g} nodes from it: "
                 f"allowed is x in {self.range_bl} and |y| up to {self.aside_bl} L with a gap of "
-                f"{self.contact:.3g} nodes"
+                f"{self.contact:.3g} nodes; move it (start_x_bl, start_y_bl)"
             )
 
     def place_(self, solver: InPlaceSolver, rows: Tensor, starts: TensorDictBase) -> None:

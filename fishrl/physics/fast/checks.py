@@ -25,7 +25,8 @@ def check_tensor(
     There it must be finite and of a magnitude of at most ``largest``, a number or as ``value``, for
     a ``reason``. That is read on a CPU only: on a GPU the host would have to wait.
     """
-    wanted = f"a tensor of shape {shape}" + (f" and type {dtype}" if dtype else "")
+    wanted = "a tensor" + ("" if shape is None else f" of shape {shape}")
+    wanted += f" and type {dtype}" if dtype else ""
     if not isinstance(value, Tensor):
         raise ValueError(f"{name} = {value!r}: give {wanted}")
     sizes = value.shape if shape is None else shape

@@ -19,8 +19,8 @@ RING = 2
 MARGIN_BL, MARGIN_NODES = 0.25, 8
 
 #: A smaller patch has no node that its parent takes.
-Side = Annotated[float, Field(ge=8)]
-
+LEAST_SIDE = 8
+Side = Annotated[float, Field(ge=LEAST_SIDE)]
 
 Point = tuple[float, float]
 #: First and last node (x, y) of the coarsest level that patches may cover.
@@ -86,10 +86,11 @@ def fit_patch(patch: Patch, num_bodies: int, num_levels: int, bounds: Bounds) ->
     sides = []
     for at, size, first, last in zip(patch.centre, patch.size, *bounds, strict=True):
         ends = max(at - 0.5 * size, unit * first + least), min(at + 0.5 * size, unit * last - least)
-        if ends[0] >= ends[1]:
+        if ends[1] - ends[0] < LEAST_SIDE:
             raise ValueError(
-                f"{patch} lies beyond the {unit * first + least} to {unit * last - least} nodes "
-                "away from edges and sponges: move it in, or enlarge the domain"
+                f"{patch}: less than {LEAST_SIDE} of its nodes lie in {unit * first + least} to "
+                f"{unit * last - least}, away from edges and sponges: move it in, or enlarge the "
+                "domain"
             )
         sides.append(ends)
     (left, right), (bottom, top) = sides
