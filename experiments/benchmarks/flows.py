@@ -5,7 +5,6 @@ import multiprocessing
 import os
 import tempfile
 import time
-from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from math import pi
@@ -16,8 +15,10 @@ import torch
 from experiments.benchmarks import measuring
 from experiments.benchmarks.accuracy import read_errors
 from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings, repeat
+from experiments.benchmarks.step_clock import Steps, list_calls, time_pair
 from fishrl.physics import Boundaries, InPlaceSolver, Scales
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
+from fishrl.torch_state import in_own_state
 
 
 def make_solver(
@@ -156,8 +157,8 @@ def make_levels(settings: BenchmarkSettings, **options: Any) -> list[Benchmark]:
             case.advance, case.facts["period"] = partial(advance_pairs, solver, unit), period / unit
             case.facts["updates"] = solver.config.updates_per_step * period
             case.facts["errors"] = errors.get((length, levels), {})
-            if num_envs == 1 and levels > 1:
-                case.prepare = partial(clock_interface, case, solver, list_interface(solver))
+            if num_envs == 1:
+                case.prepare = partial(clock_parts, case, solver, list_steps(solver))
             cases.append(case)
     return cases
 
@@ -172,29 +173,19 @@ def advance_pairs(solver: InPlaceSolver, unit: int, num_pairs: int) -> dict[str,
     return {"cpu": (time.process_time() - before) / num_pairs}
 
 
-def list_interface(solver: InPlaceSolver) -> list[Callable[[], object]]:
-    """Return the calls between levels of a pair of steps, without changing the flow."""
-    before, parts = solver.state_dict(), solver.list_calls()
-    wanted = [(part, own) for part, own in parts if part.name in ("filling", "restriction")]
-    calls = [call for part, own in wanted for each in own for call in part.record(each)]
+def list_steps(solver: InPlaceSolver) -> Steps:
+    """Return the calls of a pair of steps by their column, without changing the flow."""
+    before, steps = solver.state_dict(), list_calls(solver)
     solver.load_state_dict(before)
-    return calls
+    return steps
 
 
-def clock_interface(
-    case: Benchmark, solver: InPlaceSolver, calls: Sequence[Callable[[], object]]
-) -> None:
-    """Measure the processor's seconds of ``list_interface``, the least of a few.
-
-    The flow does not change.
-    """
-    before, spent = solver.state_dict(), []
-    for _ in range(5):
-        start = time.process_time()
-        for call in calls:
-            call()
-        spent.append(time.process_time() - start)
-    case.measured.setdefault("interface", []).append(min(spent))
+@in_own_state  # as a step does: no denormal numbers
+def clock_parts(case: Benchmark, solver: InPlaceSolver, steps: Steps) -> None:
+    """Measure the least seconds of the parts of a pair of steps; the flow does not change."""
+    before, pairs = solver.state_dict(), [time_pair(steps) for _ in range(10)]
+    for column in pairs[0]:
+        case.measured.setdefault(column, []).append(min(pair[column] for pair in pairs))
     solver.load_state_dict(before)
 
 

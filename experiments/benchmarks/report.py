@@ -100,11 +100,6 @@ def _time_beat(case: Benchmark) -> float:
     return float(min(case.measured["cpu"]) * case.facts["period"] / case.facts["flows"])
 
 
-def _share(case: Benchmark, results: Results) -> str | None:
-    own = case.measured.get("interface")
-    return f"{100.0 * min(own) / min(case.measured['cpu']):.0f}" if own else None
-
-
 def _error(reynolds: int, case: Benchmark, results: Results) -> str | None:
     error = case.facts["errors"].get(reynolds)
     return None if error is None else f"{100.0 * error:+.1f}"
@@ -112,6 +107,32 @@ def _error(reynolds: int, case: Benchmark, results: Results) -> str | None:
 
 def _sum_least(names: Sequence[str], case: Benchmark) -> float:
     return sum(min(case.measured[name]) for name in names if name in case.measured)
+
+
+def _find_share(names: Sequence[str], case: Benchmark) -> float:
+    return _sum_least(names, case) / _sum_least(PARTS, case)
+
+
+def _share(names: Sequence[str], case: Benchmark, results: Results) -> str | None:
+    is_there = any(name in case.measured for name in names)
+    return f"{100.0 * _find_share(names, case):.0f}" if is_there else None
+
+
+def compare_levels(results: Results) -> str:
+    """Return how the time of three levels compares with uniform grids, with and without bodies."""
+    given = [results.find(f"levels/1, {grid}") for grid in ("100, 3", "100, 1", "50, 1")]
+    cases = [case for case in given if case]
+    if len(cases) < len(given):
+        return ""
+    fine, same, half = map(_time_beat, cases)
+    bare_fine, bare_same, bare_half = (
+        _time_beat(case) * (1.0 - _find_share(BODY_PARTS, case)) for case in cases
+    )
+    return (
+        f"Three levels take 1/{same / fine:.1f} of the time of uniform L = 100 (goal: 1/12), and "
+        f"{fine / half:.2f} of that of L = 50 (goal: 0.8). If bodies cost nothing on any grid, "
+        f"these would be 1/{bare_same / bare_fine:.1f} and {bare_fine / bare_half:.2f}."
+    )
 
 
 def _least(name: str, case: Benchmark, results: Results) -> str | None:
@@ -125,6 +146,7 @@ def _over_before(names: Sequence[str], case: Benchmark, results: Results) -> str
 
 #: What a step does for the bodies: reflection or coupling, finding their skins, uncovered nodes.
 BODY_PARTS = ("exchange", "skin", "uncovering")
+PARTS = ("collision", *BODY_PARTS, "edges", "interface")
 #: Content of each column; None is shown as a dash.
 COLUMNS: dict[str, Cell] = {
     "case": lambda case, _: case.name,
@@ -151,7 +173,8 @@ COLUMNS: dict[str, Cell] = {
     "Re = 500, %": partial(_error, 500),
     "Re = 7142, %": partial(_error, 7142),
     "updates / T": lambda case, _: f"{1e-6 * case.facts['updates']:.0f} M",
-    "interface, %": _share,
+    "bodies, %": partial(_share, BODY_PARTS),
+    "interface, %": partial(_share, ["interface"]),
     "decisions / s": lambda case, _: (
         f"{case.facts['flows'] / find_quartiles(case.measured['seconds']).median:.0f}"
     ),
@@ -172,7 +195,7 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
         "levels",
         "Grids",
         "",
-        ("case", "what", *ERRORS, "updates / T", "CPU s / T", "interface, %"),
+        ("case", "what", *ERRORS, "updates / T", "CPU s / T", "bodies, %", "interface, %"),
     ),
     ("gpu", "GPU", "", GPU_SPEED),
     ("env", "Environment", "Bursts of one action, which lasts a tail beat T.", OUTSIDE),
@@ -205,7 +228,8 @@ def render_results(results: Results, mark: str | None = None) -> str:
     for group, title, note, columns in TABLES:
         if (mark is None or group in PAGES[mark][1]) and (cases := results.of_group(group)):
             cells = [[COLUMNS[c](case, results) or "–" for c in columns] for case in cases]
-            parts = [f"### {title}", note, write_table(columns, cells)]
+            below = compare_levels(results) if group == "levels" else ""
+            parts = [f"### {title}", note, write_table(columns, cells), below]
             tables.append("\n\n".join(filter(None, parts)))
     return "\n\n".join(table.strip() for table in (describe_run(results), *tables))
 

@@ -21,6 +21,7 @@ from fishrl.programs.train_settings import TRAINING
 COLUMNS = {"collision": "collision", "reflection": "exchange", "coupling": "exchange"}
 COLUMNS |= dict.fromkeys(("skin", "moved skin", "contact", "moved contact"), "skin")
 COLUMNS |= {"uncovering": "uncovering", "edges": "edges", "crossing": "edges"}
+COLUMNS |= dict.fromkeys(("filling", "restriction", "shift choice"), "interface")
 BURST = 20
 
 
@@ -41,7 +42,10 @@ def start(preset: str) -> tuple[InPlaceSolver, float]:
     return solver, period
 
 
-def list_calls(solver: InPlaceSolver) -> list[list[tuple[str, list[Callable[[], object]]]]]:
+Steps = list[list[tuple[str, list[Callable[[], object]]]]]
+
+
+def list_calls(solver: InPlaceSolver) -> Steps:
     """Return the calls of each part, by column, in an even and an odd step."""
 
     def bind(part: Any, arguments: Any) -> list[Callable[[], object]]:
@@ -61,19 +65,24 @@ def time_parts(solver: InPlaceSolver, num_steps: int) -> Iterator[dict[str, floa
     """Yield the seconds of the parts of pairs of steps, and of steps without clocks between."""
     steps, rows = list_calls(solver), torch.ones(1, dtype=torch.bool)
     for _ in range(num_steps // BURST):
-        spent: dict[str, float] = {}
-        before = perf_counter()
-        for step in steps:
-            for column, calls in step:
-                for call in calls:
-                    call()
-                now = perf_counter()
-                spent[column] = spent.get(column, 0.0) + 0.5 * (now - before)
-                before = now
-        yield spent
+        yield {column: 0.5 * spent for column, spent in time_pair(steps).items()}
         before = perf_counter()
         solver.advance_(BURST, rows)  # as environments do
         yield {"seconds": (perf_counter() - before) / BURST}
+
+
+def time_pair(steps: Steps) -> dict[str, float]:
+    """Return the seconds of the parts of a pair of steps, by column."""
+    spent: dict[str, float] = {}
+    before = perf_counter()
+    for step in steps:
+        for column, calls in step:
+            for call in calls:
+                call()
+            now = perf_counter()
+            spent[column] = spent.get(column, 0.0) + now - before
+            before = now
+    return spent
 
 
 def main() -> None:

@@ -64,7 +64,9 @@ class Cells(NamedTuple):
 
     def read(self, origin: Tensor | None = None) -> Sequence[Tensor]:
         """Return nine incoming populations ``[B, ...]``; the nodes may count from an origin."""
-        return self.data[self._find(origin)].unbind()
+        cells = self._find(origin)
+        # as index -1 is none of these, it need not count from the end
+        return self.data.expand(*cells.shape[:-1], -1).gather(-1, cells).unbind()
 
     def write_(self, values: Tensor, origin: Tensor | None = None) -> None:
         """Set them to ``[Q, B, ...]``."""
@@ -78,21 +80,16 @@ class Cells(NamedTuple):
 def make_filling(width: int, height: int) -> Part:
     """Return the part that fills the ring of a patch, at the parity of its parent's next step."""
 
-    def collect(
-        memory: PatchMemory, parity: int
-    ) -> tuple[tuple[Cells, Cells, Tensor], Tensor, Tensor]:
-        ring, chosen = number_ring(width, height, memory.patch.layout.row_length)
+    def collect(memory: PatchMemory, parity: int) -> tuple[tuple[Cells, Cells], Tensor, Tensor]:
+        ring = number_ring(width, height, row := memory.patch.layout.row_length)
+        ring = ring.where(ring >= 0, -row - 1)  # node (-1, -1), which nobody reads
         sources = list_sources(width, height, memory.parent.layout.row_length)
-        grids = (
-            Cells.find(memory.patch, 0, ring),
-            Cells.find(memory.parent, parity, sources),
-            chosen.to(memory.origin.device),
-        )
-        return grids, memory.origin, memory.patch.flow.params.tau
+        cells = Cells.find(memory.patch, 0, ring), Cells.find(memory.parent, parity, sources)
+        return cells, memory.origin, memory.patch.flow.params.tau
 
-    def act(grids: tuple[Cells, Cells, Tensor], origin: Tensor, tau: Tensor) -> None:
-        ring, sources, chosen = grids
-        ring.write_(fill_ring(sources.read(origin), tau)[..., chosen])
+    def act(cells: tuple[Cells, Cells], origin: Tensor, tau: Tensor) -> None:
+        ring, sources = cells
+        ring.write_(fill_ring(sources.read(origin), tau))
 
     return Part("filling", collect, act, SETTINGS, any_grid=True)
 

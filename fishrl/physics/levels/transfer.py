@@ -57,19 +57,17 @@ def list_sources(width: int, height: int, row: int) -> Tensor:
     return torch.cat([_list_lines(own, 4) for own in (cells, cells.mT)], -1)
 
 
-def number_ring(width: int, height: int, row: int) -> tuple[Tensor, Tensor]:
-    """Return the numbers ``[K]`` of the nodes in a patch's ring, ``row`` from one row to the next.
+def number_ring(width: int, height: int, row: int) -> Tensor:
+    """Return the numbers of the nodes of a patch that the values of ``fill_ring`` belong to.
 
-    Second: which of the values that ``fill_ring`` returns are theirs.
+    There are ``row`` from one row to the next; values that belong to none have -1.
     """
     cells, sides = number_cells(height, width, row), []
     for own, crop in ((cells, 0), (cells.mT, RING)):  # corners belong to bottom and top
         lines = _list_lines(own, RING)[..., crop : own.shape[1] - crop]
         padded = pad(lines, (crop, crop + 5), value=-1)  # to two for each of the sources
         sides.append(padded.unflatten(-1, (-1, 2)).mT)
-    numbers = torch.cat(sides, -1)[..., :-3].flatten()
-    (chosen,) = (numbers >= 0).nonzero(as_tuple=True)
-    return numbers[chosen], chosen
+    return torch.cat(sides, -1)[..., :-3].flatten()
 
 
 def _list_lines(cells: Tensor, num: int) -> Tensor:
@@ -81,7 +79,7 @@ def fill_ring(f: Sequence[Tensor], tau: Tensor) -> Tensor:
     """Return the populations ``[Q, B, 8 (N - 3)]`` that the parent puts into a patch's ring.
 
     They are those of both layers of both sides, on and between the parent's nodes. Some are between
-    the end of one side and the beginning of another: ``number_ring`` leaves them out.
+    the end of one side and the beginning of another, of no node.
 
     Args:
         f: nine populations ``[B, 2, 4, N]`` of ``list_sources``.
@@ -140,8 +138,9 @@ def fill(patch: Tensor, parent: Tensor, origin: Tensor, tau: Tensor) -> Tensor:
     (height, width), row = patch.shape[-2:], parent.shape[-1]
     sources = add(count(origin, row), list_sources(width, height, row))
     values = fill_ring(read(parent.flatten(2).unbind(1), sources), tau)
-    places, chosen = number_ring(width, height, width)
-    return write(patch, places.expand(len(patch), -1), values[..., chosen].transpose(0, 1))
+    ring = number_ring(width, height, width)
+    is_node = ring >= 0
+    return write(patch, ring[is_node].expand(len(patch), -1), values[..., is_node].transpose(0, 1))
 
 
 def fill_all(size: tuple[int, int], parent: Tensor, origin: Tensor, tau: Tensor) -> Tensor:

@@ -79,7 +79,7 @@ def test_share_of_learning_is_measured() -> None:
     assert 0.0 < frame.advance(1)["learning"] < 1.0
 
 
-def test_levels_are_timed_by_beat_and_their_interface_apart(
+def test_levels_are_timed_by_beat_and_by_part(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(flows, "LEVELS", ((0.3, 1, (1,)), (0.3, 2, (1,))))
@@ -93,7 +93,9 @@ def test_levels_are_timed_by_beat_and_their_interface_apart(
     for case in cases:
         case.group = "levels"
     measure(cases, settings)
-    assert min(refined.measured["interface"]) < min(refined.measured["cpu"])
+    parts = {"collision", "exchange", "skin", "uncovering", "edges"}
+    assert uniform.measured.keys() == {"seconds", "cpu", *parts}
+    assert refined.measured.keys() == {"seconds", "cpu", *parts, "interface"}
     table = render_results(
         Results(machine=describe_machine(), settings=vars(settings), cases=cases)
     )
