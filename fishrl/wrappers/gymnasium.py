@@ -33,12 +33,16 @@ from fishrl.wrappers.single import FlowSingleEnv
 
 __all__ = ["TASKS", "FlowSingleEnv", "FlowVectorEnv", "make_single", "make_vector"]
 
-_NAMES = list_tasks()
+_VERSIONED = {name.rpartition("-v")[0] for name in list_tasks()}
 #: Classes of tasks and all presets by id; add your own by ``gymnasium.register`` as below. Where
 #: there is ``predation-v1``, Gymnasium allows no ``predation``.
 TASKS: dict[str, Callable[..., AbstractTask]] = {
     **{f"fishrl/{task.__name__}-v0": task for task in (Predation, KarmanGait, Follower)},
-    **{f"fishrl/{name}": partial(make_task, name) for name in _NAMES if f"{name}-v0" not in _NAMES},
+    **{
+        f"fishrl/{name}": partial(make_task, name)
+        for name in list_tasks()
+        if name not in _VERSIONED
+    },
 }
 
 
