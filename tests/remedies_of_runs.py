@@ -1,0 +1,351 @@
+"""Calls of trainings, programs and wrappers that are refused; see ``tests/remedies.py``.
+
+They begin in a folder of their own, with fish that glide.
+"""
+
+from collections.abc import Callable
+from contextlib import closing, nullcontext
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+
+from fishrl.envs import Flows, Predation, PredationPair, make_env
+from fishrl.files import check_folder, claim, claim_file
+from fishrl.modules import (
+    make_actor,
+    make_continuous_actor,
+    make_mlp,
+    make_recurrent_value_actor,
+    make_twin_critics,
+    make_value_actor,
+)
+from fishrl.objectives import FitSettings, MaskedDiscreteSACLoss, MaskedDQNLoss, split_episodes
+from fishrl.programs import export, train, view
+from fishrl.programs.lateral_line.collection import CollectionSettings
+from fishrl.programs.sweeps.jobs import plan_jobs
+from fishrl.programs.sweeps.runs import read_runs
+from fishrl.settings import build
+from fishrl.training import (
+    LearningSettings,
+    Plan,
+    Training,
+    evaluate,
+    load_plan,
+    load_policy,
+    open_run,
+)
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.sac import SAC
+from fishrl.training.export import export_policy
+from fishrl.viewer import find_recording, start_drawing
+from fishrl.viewer.process import find_port
+from fishrl.wrappers.gymnasium import FlowVectorEnv
+from fishrl.wrappers.minari import find_dataset
+from fishrl.wrappers.pettingzoo import FlowParallelEnv
+from tests.envs.conftest import CONTINUOUS, SMALL
+from tests.envs.test_transforms import FLOWS, TASK, save, untrained
+from tests.objectives.test_classification import fit, make_network, make_parts
+from tests.remedies import OUT, Case
+from tests.training.conftest import QUICK, limited_disk, make_toy_plan
+from tests.viewer.scenes import make_scene
+
+EAGER, SHORT = Flows(num_envs=1, compile=False), Predation(**SMALL, time_limit=2)
+WORDS = [f"task.{name}={value}" for name, value in SMALL.items()]
+WORDS += ["task.time_limit=2", "flows.compile=false", "periods=0.5"]
+SIZES: dict[str, Any] = {"num_inputs": 4, "num_actions": 3}
+PARTS = make_parts()
+HUNT, PAIR = "fishrl/Predation-v0", PredationPair(**SMALL, time_limit=2)
+
+
+def begin(**given: Any) -> Training:
+    """Begin a short training of the point fish."""
+    settings = (
+        QUICK | {"folder": ".", "name": "run", "total_frames": 80, "eval_episodes": 1} | given
+    )
+    plan = make_toy_plan(Path(settings.pop("folder")), **settings)
+    return Training(open_run(plan))
+
+
+def finish() -> Path:
+    """Return the folder of a finished training."""
+    if not Path("run").exists():
+        with closing(begin()) as training:
+            training.run()
+    return Path("run")
+
+
+def reopen(**given: Any) -> None:
+    with closing(Training(open_run(finish(), **given))) as training:
+        training.run()
+
+
+def begin_another(**given: Any) -> None:
+    finish()
+    begin(gamma=0.5, **given).close()
+
+
+def train_twice(end: bool) -> None:
+    first = begin()
+    if end:
+        first.close()
+    try:
+        begin().close()
+    finally:
+        first.close()
+
+
+def resume_without(name: str) -> Callable[..., None]:
+    """Return a call that resumes a run one of whose files is damaged, or deleted."""
+
+    def resume(delete: bool) -> None:
+        damaged = finish() / name
+        damaged.write_text("{")
+        if delete:
+            damaged.unlink()
+        reopen(total_frames=96)
+
+    return resume
+
+
+def write(space: bool) -> None:
+    training = Training(open_run(finish(), total_frames=96))
+    with closing(training), nullcontext() if space else limited_disk(2000):
+        training.run()
+
+
+def call(program: Any, *words: str) -> Callable[..., None]:
+    """Return a call of a program with further settings."""
+
+    def run(**given: Any) -> None:
+        more = [f"{name}={value}" for name, value in given.items()]
+        program.main.run(program.main.read([*words, *more]))
+
+    return run
+
+
+def hold(name: str) -> None:
+    with claim_file("x"), claim_file(name):
+        pass
+
+
+def step_after_end(reset: bool, *, num_envs: int) -> None:
+    flows = replace(EAGER, num_envs=num_envs)
+    env = FlowVectorEnv(
+        make_env(task=replace(SHORT, time_limit=1), flows=flows), autoreset_mode="Disabled"
+    )
+    keep = np.ones(num_envs, dtype=np.int64)
+    env.reset()
+    env.step(keep)
+    if reset:
+        env.reset(options={"reset_mask": np.ones(num_envs, dtype=bool)})
+    env.step(keep)
+
+
+def wrap(kind: Any, task: Any, **given: Any) -> Any:
+    return kind(make_env(task=task, flows=EAGER), **given)
+
+
+def act_in_pair(reset: bool, *, draw: bool = False) -> None:
+    env = wrap(FlowParallelEnv, PAIR, render_mode="rgb_array")
+    if reset:
+        env.reset()
+    if draw:
+        env.render()
+    else:
+        env.step(dict.fromkeys(env.possible_agents, 1))
+
+
+def step_first(reset: bool) -> None:
+    env = wrap(FlowVectorEnv, SHORT)
+    if reset:
+        env.reset()
+    env.step(np.ones(1, dtype=np.int64))
+
+
+def render(**given: Any) -> None:
+    env = wrap(FlowVectorEnv, SHORT, **given)
+    env.reset()
+    env.render()
+
+
+def find(rrd: str) -> None:
+    Path("x.rrd").touch()
+    find_recording(rrd)
+
+
+def take(folder: str) -> None:
+    Path("taken").touch()
+    begin(folder=folder).close()
+
+
+def claim_in(folder: str) -> None:
+    Path("taken").touch()
+    with claim(Path(folder, "x")):
+        pass
+
+
+def find_again(name: str) -> None:
+    Path("x-v0").mkdir(exist_ok=True)
+    find_dataset(name, ".")
+
+
+def read_own(**given: Any) -> None:
+    Path("own_control.py").write_text(
+        "from fishrl.envs.control import Turn\n\n\nclass Own(Turn): pass\n"
+    )
+    build(Predation, {"control": {"_target_": "own_control.Own"}}, **given)
+
+
+def learn(parts: list[Any]) -> None:
+    fit(make_network(), parts, settings=FitSettings(num_epochs=1))
+
+
+RUNS: list[Case] = [
+    (lambda folder: check_folder(f"{folder}/x"), "folder", "nowhere", "."),
+    (lambda file: check_folder(file), "file", ".", "x"),
+    (claim_in, "folder", "taken", "free"),
+    (hold, "name", "x", "y"),
+    (lambda size: begin(hidden=(size, size)).close(), "size", 10**6, 8),
+    (lambda widths: make_mlp((4, widths)), "widths", 0, 8),
+    (untrained, "features", (), ("u_x",)),
+    (untrained, "num_samples", 0, 1),
+    (lambda samples: untrained().read(torch.zeros(samples, 5, 2)), "samples", 3, 16),
+    (
+        lambda stream_speed_bl: save(
+            Path(), flows=[*FLOWS[:2], FLOWS[2] | {"stream_speed_bl": stream_speed_bl}]
+        ).check(TASK),
+        "stream_speed_bl",
+        2.0,
+        1.5,
+    ),
+    (partial(make_recurrent_value_actor, **SIZES), "hidden", (), (8,)),
+    (
+        lambda episodes: split_episodes(
+            torch.arange(episodes),
+            torch.zeros(episodes, dtype=torch.int64),
+            shares=(0.5, 0.5),
+            generator=torch.Generator(),
+        ),
+        "episodes",
+        1,
+        2,
+    ),
+    (lambda samples: learn([PARTS[0], PARTS[1][:samples]]), "samples", 0, 9),
+    (
+        lambda exclude: learn([PARTS[0] if exclude else PARTS[0] / 0, PARTS[1]]),
+        "exclude",
+        False,
+        True,
+    ),
+    (
+        lambda critics: MaskedDiscreteSACLoss(
+            make_actor(**SIZES), make_twin_critics(**SIZES)[:critics], num_actions=3
+        ),
+        "critics",
+        1,
+        2,
+    ),
+    (
+        lambda make_value_actor: MaskedDQNLoss(
+            (make_value_actor or make_continuous_actor)(**SIZES)
+        ),
+        "make_value_actor",
+        None,
+        make_value_actor,
+    ),
+    (
+        lambda **g: build(Plan, {"task": {"reynolds": 500.0} | g}),
+        "_target_",
+        OUT,
+        "fishrl.envs.Predation",
+    ),
+    (read_own, "modules", OUT, ("own_control",)),
+    (partial(Plan, task=SHORT), "algorithm", SAC(), DQN()),
+    (
+        lambda critic_observes: Plan(
+            task=Predation(critic_observes=critic_observes), algorithm=DQN()
+        ),
+        "critic_observes",
+        ("place_of_the_food",),
+        (),
+    ),
+    (partial(DQN, epsilon_start=0.5), "epsilon_end", 0.9, 0.5),
+    (partial(LearningSettings, buffer_size=16), "batch_size", 17, 16),
+    (write, "space", False, True),
+    (lambda checkpoint: load_plan(finish() / checkpoint), "checkpoint", "nothing", "."),
+    (lambda folder: export_policy(finish(), folder), "folder", "run", "new"),
+    (resume_without("metrics.csv"), "delete", False, True),
+    (resume_without("summary.json"), "delete", False, True),
+    (begin_another, "name", "run", "other"),
+    (reopen, "total_frames", OUT, 96),
+    (partial(reopen, total_frames=96), "gamma", 0.5, OUT),
+    (partial(evaluate, "random", flows=EAGER, episodes=1), "task", OUT, SHORT),
+    (partial(load_policy, "zoo/predation_sharp"), "task", Predation(num_stacked=2), OUT),
+    (lambda resume: open_run(finish() / resume), "resume", "nothing", "."),
+    (lambda resume: open_run(finish().parent / resume), "resume", ".", "run"),
+    (take, "folder", "taken", "free"),
+    (train_twice, "end", False, True),
+    (lambda **g: start_drawing(make_scene(), flows={0: "x"}, **g).close(), "save", OUT, "x.rrd"),
+    (find, "rrd", "y.rrd", "x.rrd"),
+    (lambda port: find_port(port), "port", 65535, 9876),
+    (
+        lambda make_vec: (gymnasium.make_vec if make_vec else gymnasium.make)(
+            HUNT, num_envs=1, flows=EAGER, **SMALL
+        ),
+        "make_vec",
+        False,
+        True,
+    ),
+    (find_again, "name", "x-v0", "x-v1"),
+    (
+        lambda gymnasium: wrap(FlowVectorEnv if gymnasium else FlowParallelEnv, SHORT),
+        "gymnasium",
+        False,
+        True,
+    ),
+    (
+        lambda FlowParallelEnv: wrap(FlowParallelEnv, PAIR),
+        "FlowParallelEnv",
+        FlowVectorEnv,
+        FlowParallelEnv,
+    ),
+    (act_in_pair, "reset", False, True),
+    (partial(act_in_pair, draw=True), "reset", False, True),
+    (render, "render_mode", OUT, "rgb_array"),
+    (partial(step_after_end, num_envs=1), "reset", False, True),
+    (partial(step_after_end, num_envs=2), "reset", False, True),
+    (step_first, "reset", False, True),
+    (lambda task: CollectionSettings(task=task).recorded_task, "task", SHORT, TASK),
+    (
+        lambda task: CollectionSettings(task=task).recorded_task,
+        "task",
+        replace(TASK, control=CONTINUOUS),
+        TASK,
+    ),
+    (lambda **g: plan_jobs([f"{key}={value}" for key, value in g.items()]), "name", "x", OUT),
+    (lambda folder: read_runs(finish() / folder), "folder", ".", ".."),
+    (lambda folder: read_runs(finish().parent / folder), "folder", "run/checkpoints", "."),
+    (
+        lambda **g: train.main.read([f"resume={finish()}", *(f"{k}={v}" for k, v in g.items())]),
+        "gamma",
+        0.5,
+        OUT,
+    ),
+    (call(view, *WORDS, "save=x.rrd"), "policy", OUT, "random"),
+    (
+        lambda policy: call(
+            view, "save=x.rrd", *(["policy=random", *WORDS] if policy else ["recording=y.rrd"])
+        )(),
+        "policy",
+        False,
+        True,
+    ),
+    (call(view, *WORDS, "policy=random", "save=x.gif"), "episodes", 2, 1),
+    (call(view, *WORDS, "policy=random"), "save", OUT, "x.rrd"),
+    (call(export, *WORDS, "policy=random", "save=x.zarr"), "signals", "true", "false"),
+]
