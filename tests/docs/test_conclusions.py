@@ -10,8 +10,10 @@ from typing import Any
 
 import pytest
 
+from tests.docs.cells import CELLS, find_cells
+from tests.docs.cells import UNSTORED as UNCHECKED
 from tests.docs.conclusions import HELD, NAMED
-from tests.docs.page_numbers import DOCS, PAGES, Numbers, find, match_words, read
+from tests.docs.page_numbers import DOCS, PAGES, RESULTS, Numbers, find, match_words, read
 
 
 def _list(entries: dict[str, dict[str, Any]]) -> list[Any]:
@@ -27,10 +29,30 @@ def _list(entries: dict[str, dict[str, Any]]) -> list[Any]:
 def test_numbers_of_a_conclusion_follow_from_others(
     page: str, words: str, compute: Callable[[], Numbers]
 ) -> None:
-    said = find(page, words)
-    for text, value in zip(said, compute(), strict=True):
+    check_numbers(find(page, words), compute())
+
+
+def check_numbers(said: list[str], values: Numbers) -> None:
+    """Compare numbers with their values, to as many digits as are said."""
+    for text, value in zip(said, values, strict=True):
         digits = len(text.partition(".")[2])
-        assert abs(value - float(text)) <= 0.5 * 10.0**-digits + 1e-9, f"{words}: {value}"
+        assert abs(value - float(text)) <= 0.5 * 10.0**-digits + 1e-9, f"{text}: {value}"
+
+
+@pytest.mark.parametrize("cells", CELLS, ids=" | ".join)
+def test_cells_of_a_table_repeat_the_data_of_a_study(cells: tuple[str, ...]) -> None:
+    check_numbers(find_cells(*cells), CELLS[cells]())
+
+
+def test_rows_of_results_are_checked_or_their_data_are_not_stored() -> None:
+    text = (DOCS / RESULTS).read_text(encoding="utf-8")
+    rows = [
+        line for line in text.splitlines() if re.match(r"\|(?! [a-z]+ \| [a-z ]+ \|$).*\d", line)
+    ]
+    known = [f"| {cells[1]} " for cells in CELLS if cells[0] == RESULTS]
+    known += [f"| {start}" for start in UNCHECKED]
+    assert len(rows) > 15
+    assert not [row for row in rows if not any(row.startswith(start) for start in known)]
 
 
 @pytest.mark.parametrize(("page", "words", "holds"), _list(HELD))

@@ -1,0 +1,223 @@
+"""Numbers in tables of pages that repeat the data of studies."""
+
+import re
+from collections.abc import Callable
+
+from studies.tables import read_data
+from tests.docs.page_numbers import (
+    BEHIND,
+    CHANGING,
+    DISTANCE,
+    DOCS,
+    GAIT,
+    NUMBER,
+    PREDATION,
+    RELATIVE,
+    RESULTS,
+    SENSES,
+    SEVERAL,
+    Numbers,
+    column,
+    count_lasting,
+    find_row,
+    follow,
+    last,
+    scatter,
+)
+
+AS_TRAINED = "as trained, % of 96"
+DRAWN = scatter(
+    column("predation", "memory", "captured of 96, %", observations_that_the_policy_sees="4")
+)
+BENT = column("predation", "bend", AS_TRAINED)[:4]
+GUIDED = column("predation", "held_out", AS_TRAINED, policy="interception, which knows the path")
+PAIR = {who: read_data("predation", "pair")[row] for row, who in enumerate(("learned", "pursuit"))}
+PAPER = {
+    row["part, L = 100"].split(",")[0]: row["ours"] for row in read_data("reproduction", "paper")
+}
+
+
+def behind(who: str, *names: str) -> list[float]:
+    """Return columns of followers with their intervals."""
+    return [follow("followers", who, f"{name}{end}")[0] for name in names for end in ("", " ±")]
+
+
+def stand(table: str, policy: str) -> list[float]:
+    """Return how many episodes last, of how many, and the ranges of time in gait and of work."""
+    (ended, num), ends = count_lasting(table, policy), list[float]()
+    for name in ("in gait, %", "muscles per T"):
+        found = column("karman_gait", table, name, policy=policy)
+        ends += [min(found), max(found)]
+    return [num - ended, num, *ends]
+
+
+def sharp(name: str, policy: str) -> list[float]:
+    return column("karman_gait", "sharp_100", name, policy=policy)
+
+
+def switch(labels: str) -> list[float]:
+    """Return duration with its interval, share of right labels and delay in changing streams."""
+    rows = read_data("changing_streams", "steady_classifier")
+    (row,) = (row for row in rows if row["labels from"] == labels)
+    names = ("survival, T", "survival, T ±", "label right, %", "median delay, T")
+    return [float(row[name]) for name in names if row[name] not in ("", "never")]
+
+
+def sense(senses: str) -> list[float]:
+    """Return duration with its interval, share that lasts and work of the four arms."""
+    names = ("duration, T", "duration, T ±", "lasts 40 T, %", "pushing work per T")
+    of = {"policy": senses, "condition": "as trained"}
+    return [column("four_arms", "behaviour", name, **of)[0] for name in names]
+
+
+def station(name: str) -> list[float]:
+    """Return a column at the paper's resolution, with both modules."""
+    return column("karman_gait", "L100", name, label="classifier")
+
+
+def caught(name: str) -> list[float]:
+    rows = read_data("predation", "paper_scale")[:2]
+    return [float(row[name].split()[0]) for row in rows]
+
+
+BY_SKIN = find_row(PREDATION, "food on the paper's path", "50")
+KINDS, HELD = "both modules", "ablation"
+#: By page and first cells of a row: the numbers that the rest of the row repeats.
+CELLS: dict[tuple[str, ...], Callable[[], Numbers]] = {
+    (RESULTS, "[Predation](tasks/predation.md), L = 50: food captured"): lambda: [
+        *(*scatter(BY_SKIN[:3]), BY_SKIN[4], BY_SKIN[6], BY_SKIN[3])
+    ],
+    (RESULTS, "the same, paths of the food drawn, L = 32"): lambda: [*DRAWN, *GUIDED, 5],
+    (RESULTS, "the same, and the fish turns itself, L = 32"): lambda: [*BENT, 3],
+    (
+        RESULTS,
+        "[Senses](tasks/senses.md): the fish turns itself, L = 32; episodes that last 40 T",
+    ): (
+        lambda: [
+            *(n / 0.24 for n in find_row(SENSES, "SAC", "place, drift, heading, own motion")[:2]),
+            *(n / 0.24 for n in last("imitation", "lateral line, own motion")),
+            find_row(
+                SENSES, "controller `pid`, tuned by CMA-ES", "place, drift, heading, yaw rate"
+            )[0]
+            / 0.24,
+            2,
+        ]
+    ),
+    (
+        RESULTS,
+        "[Changing streams](tasks/changing_streams.md), heading held, L = 32: duration, of 100 T",
+    ): lambda: (
+        [
+            column("changing_streams", "trained", "mean survival, T", labels_from=labels)[0]
+            for labels in ("memory 0.7", "PID, true label")
+        ]
+        + [5]
+    ),
+    (RESULTS, "[Two fish](tasks/several_fish.md), L = 32: food captured"): lambda: [
+        float(PAIR["learned"]["food caught, %"]),
+        float(PAIR["pursuit"]["food caught, %"]),
+        *(6, 1),  # random actions, which are not stored, and the number of policies
+    ],
+    (RESULTS, "[Follower](tasks/several_fish.md), L = 32: work per distance behind a leader"): (
+        lambda: [*behind(BEHIND[0], RELATIVE), *behind(BEHIND[1], RELATIVE), 3]
+    ),
+    (RESULTS, "[C-start](tasks/c_start.md), L = 192: distance in 2.7 T"): lambda: [
+        *(
+            column("c_start", "distances", DISTANCE, nodes_per_L="192", strokes=strokes)[0]
+            for strokes in ("best", "published")
+        ),
+        1,
+    ],
+    (RESULTS, "predation: captured", "one capture"): lambda: [*caught("captured"), 32],
+    (RESULTS, "time to capture, T", "14.3"): lambda: caught("time to capture"),
+    (RESULTS, "survival with both modules, T", "100, 100, 100"): lambda: [
+        *station("survival, T"),
+        *sharp("duration, T", KINDS),
+    ],
+    (RESULTS, "in gait with both modules, %", "96, 87, 93"): lambda: [
+        *(
+            float(row["in gait (paper)"].split("%")[0])
+            for row in read_data("karman_gait", "L100")[3:]
+        ),
+        *(min(sharp("in gait, %", KINDS)), max(sharp("in gait, %", KINDS))),
+    ],
+    (RESULTS, "tail beat / shedding frequency", "1.00, 1.00, 1.00"): lambda: station(
+        "beat / shedding"
+    ),
+    (RESULTS, "survival without modules, T", "6.5, 39.8, 6.1"): lambda: [
+        *column("karman_gait", "L100_ablation", "survival, T"),
+        *sharp("duration, T", HELD),
+    ],
+    (PREDATION, "food on drawn paths", "32"): lambda: [*DRAWN, 5, *GUIDED],
+    (PREDATION, "the same, the fish turns itself", "32"): lambda: [*BENT[:3], 3, BENT[3]],
+    (PREDATION, "paper's path, immersed boundary", "50"): lambda: [
+        *column("predation", "small", "learned, %"),
+        3,
+        *(
+            column("predation", "small", f"{who}, %")[0]
+            for who in ("intercept", "pursuit", "random")
+        ),
+    ],
+    (PREDATION, "the same", "100"): lambda: [*caught("captured"), 2, 94],
+    **{
+        (SEVERAL, "`predation_pair`", name): lambda row=row: [
+            float(row[key]) for key in ("episodes", "food caught, %", "contact, %")
+        ]
+        for name, row in zip(("learned, 1 seed", "*pursuit*"), PAIR.values(), strict=True)
+    },
+    **{
+        (SEVERAL, *cells): lambda who=who, num=num: [
+            num,
+            *(behind(who, "survived 40 T, %", RELATIVE)[:2]),
+            0,
+            *behind(who, RELATIVE),
+        ]
+        for cells, who, num in (
+            (("`follower`", "learned, 3 seeds"), BEHIND[0], 48),
+            (("`follower`", "*keep_place*"), BEHIND[1], 16),
+            (("`follower`, no leader", "learned, 3 seeds"), "mean of 3 policies, alone", 48),
+            (("`follower`, no leader", "*keep_place*"), "`keep_place`, alone", 16),
+        )
+    },
+    **{
+        (CHANGING, said): lambda labels=labels, num=num: [num, *switch(labels)]
+        for said, labels, num in (
+            *((name, name, 3) for name in ("true label", "memory 1, no forgetting")),
+            *((name, name, 3) for name in ("current signal only", "always the middle flow")),
+            ("memory 0.7 (default)", "memory 0.7", 3),
+            ("none: ablation", "ablation", 1),
+            ("true label: PID controller", "pid", 1),
+        )
+    },
+    **{
+        (GAIT, size, policy): lambda table=table, kind=kind, seeds=seeds: [
+            seeds,
+            *stand(table, kind),
+        ]
+        for size, table, seeds in (("64", "sharp_64", 2), ("100", "sharp_100", 1))
+        for policy, kind in (("with both", KINDS), ("without both", HELD))
+    },
+    **{
+        (SENSES, said): lambda senses=senses: sense(senses)
+        for said, senses in (
+            *((name, name) for name in ("place, drift, heading", "lateral line")),
+            ("place, drift, heading, lateral line", "place, drift, heading, lateral line"),
+            ("nothing", "–"),
+        )
+    },
+}
+#: First cells of rows on the page of results whose data are not stored.
+UNSTORED = (
+    "[Kármán gait](tasks/karman_gait.md)",  # text of studies/karman_gait/README.md
+    "our classifier's accuracy",  # text of studies/reproduction/data/paper.csv
+    *("`small`", "`half`", "`paper`"),  # what experiments/reproduce runs
+    *("best policy", "quantity"),  # meaning of a column, head
+)
+
+
+def find_cells(page: str, *cells: str) -> list[str]:
+    """Return the numbers, as they are written, of the only row with these first cells."""
+    start = "".join(f"| {cell} " for cell in cells) + "|"
+    lines = (DOCS / page).read_text(encoding="utf-8").splitlines()
+    (row,) = (line.removeprefix(start) for line in lines if line.startswith(start))
+    return [number.replace("−", "-") for number in re.findall(NUMBER, row)]
