@@ -224,6 +224,7 @@ UNTRIED = {
     "make a new solver": "of a solver that was closed, or whose workers have ended",
     "make another one, and load_state_dict": "tests/physics/fast/test_solver.py does it",
     "append the transform that writes it": "tests/envs/test_transforms.py does it",
+    "any more; give": "tests/presets/test_replaced.py composes each",
     "has no mirror image; give its": "tests/envs/test_mirror.py gives them to tasks",
 }
 

@@ -5,7 +5,7 @@ settings of a task and of its training. Their ``defaults`` name files of the sam
 they build and, in ``override /task``, the task; ``fishrl.programs`` gives hydra what is read here.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from functools import cache
 from pathlib import Path
@@ -17,6 +17,28 @@ from fishrl.settings import TARGET, unknown
 
 GROUPS = ("task", "preset")
 DEFAULT_TASK = "predation"  # of presets that name none
+_FOLLOWER = (
+    "task=follower algorithm=sac task.domain_bl=[5.5,2.5] task.range_bl=[0.5,2.5] "
+    "task.time_limit=80 batch_size=128 buffer_size=50000 total_frames=6000 warmup_frames=640 "
+    "updates_per_frame=2.0 checkpoint_frames=1000 eval_frames=6000 eval_episodes=4 "
+    "final_episodes=16"
+)
+#: Presets of earlier versions, and what says the same on a command line.
+REPLACED = {
+    "small": "task.body_length=50 task.levels=1",
+    "follower_small": _FOLLOWER,
+    "gait_half": "preset=gait_small task.body_length=64",
+    "gait_narrow": (
+        "preset=gait_small task.body_length=64 task.max_wall_speed=0.1101 task.control.rows="
+        "[[0.432,0.486,0.54,0.594,0.648],[0.533,0.599,0.666,0.733,0.799],"
+        "[0.62,0.7,0.776,0.855,0.93]]"
+    ),
+    "gait_paper": "preset=gait_small task.body_length=100 task.skin=immersed-boundary",
+    "gait_varied": (
+        "preset=gait_small task=karman_varied task.start_flows=[0,1,2,3,4,5,6,7,8,9,10,11] "
+        "task.start_x_bl=[1.0,3.5] task.start_y_bl=[-0.6,0.6]"
+    ),
+}
 
 Node = dict[str, Any]
 #: In C where it is there, ten times as fast.
@@ -33,6 +55,13 @@ def list_tasks() -> list[str]:
     return sorted(name for group in GROUPS for name in list_names(group))
 
 
+def find_replacement(name: str, known: Sequence[str]) -> ValueError:
+    """Return the error for an unknown name, with what replaces it or the nearest known one."""
+    if name in REPLACED:
+        return ValueError(f"there is no preset '{name}' any more; give {REPLACED[name]}")
+    return unknown(name, known)
+
+
 def read_task(name: str) -> Node:
     """Return the settings of a task or, for the name of a preset, those of its task.
 
@@ -40,7 +69,7 @@ def read_task(name: str) -> Node:
         ValueError: for an unknown name, with the nearest one.
     """
     if name not in (known := list_tasks()):
-        raise unknown(name, known)
+        raise find_replacement(name, known)
     if name in list_names("task"):
         return read_file("task", name)[1]
     task, node = read_file("preset", name)

@@ -30,7 +30,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from fishrl.presets import GROUPS, list_names, read_file
+from fishrl.presets import GROUPS, find_replacement, list_names, read_file
 from fishrl.settings import REQUIRED, TARGET, build, list_fields, to_plain, unknown
 
 CONF = Path(__file__).parent / "conf"
@@ -260,7 +260,7 @@ def parse(overrides: Iterable[str]) -> list[Override]:
 def explain(error: Exception) -> ValueError:
     """Turn an error of hydra or omegaconf into one line."""
     if isinstance(error, MissingConfigException) and error.options:
-        said = unknown(str(error.missing_cfg_file).rpartition("/")[2], error.options)
+        said = find_replacement(str(error.missing_cfg_file).rpartition("/")[2], error.options)
         return ValueError(f"{said} --config-dir <folder> adds YAML files of yours")
     if isinstance(error.__cause__, OmegaConfBaseException) and "full_key" in str(error.__cause__):
         key = error.__cause__.full_key

@@ -1,4 +1,4 @@
-"""Train a policy: ``fishrl train task=predation preset=small seed=0``.
+"""Train a policy: ``fishrl train task=predation preset=quick seed=0``.
 
 ``name=<folder>`` starts a run in that folder, or continues the one there;
 ``resume=<run folder>`` continues a run with its own settings. A finished run is left unchanged

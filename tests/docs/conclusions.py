@@ -150,7 +150,7 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
         "the follower swims # % slower than at L = 100, for # % more power": lambda: [
             sign * float(number.replace("−", "-"))
             for sign, number in zip(
-                (-1, 1), re.findall(r"[−+]\d+(?= %)", find_line("`follower_small`")), strict=True
+                (-1, 1), re.findall(r"[−+]\d+(?= %)", find_line("| – | follower |")), strict=True
             )
         ],
     },
@@ -200,7 +200,7 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
             find_row(SPEED, "gait_bend, 192 × 96", "now")[0],
             *(
                 find_row(SPEED, case, "now")[-1]
-                for case in ("gait_bend, 192 × 96", "small, 500 × 250", "paper, 1000 × 500")
+                for case in ("gait_bend, 192 × 96", "L = 50, 500 × 250", "paper, 1000 × 500")
             ),
         ],
     },
@@ -343,7 +343,7 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
                 for row, step, bodies in (
                     (find_row(SPEED, "gait_bend, 192 × 96", "now"), 0.23, 0.14),
                     (find_row(SPEED, "gait_small, 320 × 160", "now"), 0.35, 0.15),
-                    (find_row(SPEED, "small, 500 × 250", "now"), 0.53, 0.18),
+                    (find_row(SPEED, "L = 50, 500 × 250", "now"), 0.53, 0.18),
                 )
             )
         ),

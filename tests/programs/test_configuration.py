@@ -33,7 +33,7 @@ def test_defaults_are_hyperparameters_of_the_paper() -> None:
         (["device=cuda"], "flows.device"),
         (["task=karman_gait", "task.stream.has_disk=false"], "task.stream.has_disc"),
         (["logger=wandb", "logger.projct=x"], "logger.project"),
-        (["preset=smal"], "small"),
+        (["preset=quik"], "quick"),
     ],
 )
 def test_typo_suggests_nearest_setting(arguments: list[str], right: str) -> None:

@@ -100,7 +100,7 @@ def test_name_and_folder_of_runs_cannot_be_set(argument: str) -> None:
     [
         (["hydra/launcher=jobli"], "did you mean 'joblib'"),
         (["algorithm=dqn,discrete_sac", "algorithm.epsilon_frames=9"], "algorithm.epsilon_frames"),
-        (["preset=small,gait_half", "task=predation"], "task.start_flows"),
+        (["preset=quick,gait_small", "task=predation"], "task.start_flows"),
         (["gamma=0.9,2", "seed=0,1"], "gamma = 2"),
     ],
 )
