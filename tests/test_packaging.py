@@ -84,7 +84,7 @@ from fishrl.envs.steering import PolicySteering
 print(fishrl.__file__)
 steering = PolicySteering()
 env = make_env(task=Predation(
-    body_length=16, reynolds=500.0, max_wall_speed=0.15, wall_margin_bl=0.18,
+    body_length=16, levels=1, reynolds=500.0, max_wall_speed=0.15, wall_margin_bl=0.18,
     domain_bl=(5.0, 3.0), start_x_bl=(2.5, 3.5), food_x_bl=1.0, food_y_bl=1.5,
     food_limits_bl=(1.0, 2.0)), flows=Flows(num_envs=1, compile=False))
 print(env.rollout(1)["next", "observation_stack"].isfinite().all().item())

@@ -11,6 +11,7 @@ from tensordict import TensorDict
 
 from fishrl.envs import Flows, make_env, run_episodes
 from fishrl.envs.agents import average_fish
+from fishrl.programs import evaluate
 from fishrl.training import load_plan, load_policy
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.export import describe_conditions
@@ -59,6 +60,14 @@ def test_its_folder_is_whole_and_small(name: str) -> None:
     for key, words in describe_conditions(load_plan(folder).task).items():
         assert f"- {key}: {words}\n" in card
     assert sum(file.stat().st_size for file in folder.parent.rglob("*") if file.is_file()) < 6e6
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_policy_from_before_levels_keeps_its_grid(name: str) -> None:
+    manifest = json.loads((find_policy(name) / "manifest.json").read_text())
+    stored = {"levels": 1, **manifest["metadata"]["config"]["task"]}
+    for task in (load_plan(name).task, evaluate.main.read([f"policy=zoo/{name}"]).task):
+        assert (task.body_length, task.levels) == (stored["body_length"], stored["levels"])
 
 
 def test_zoo_name_gives_way_to_a_folder_of_that_path(

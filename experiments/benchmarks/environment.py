@@ -27,7 +27,7 @@ FLOWS = Flows(num_envs=16)
 def make_task(settings: BenchmarkSettings) -> Predation:
     """Return the task of preset ``small`` with L / 2 and the same relaxation time."""
     length = settings.body_length // 2
-    return Predation(body_length=length, reynolds=140.0 * length)
+    return Predation(body_length=length, levels=1, reynolds=140.0 * length)
 
 
 def make_action(base: Any, label: str, what: str, advance: Any, **options: Any) -> Benchmark:

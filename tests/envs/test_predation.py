@@ -37,7 +37,7 @@ def test_food_rests_and_then_moves_between_its_limits() -> None:
 @pytest.mark.parametrize("body_length", [50, 100])
 def test_starts_are_whole_nodes_in_the_papers_box(body_length: int) -> None:
     """At L = 100: x in [500, 750], y in [25, 475], the paper's Task 1."""
-    task = Predation(body_length=body_length, reynolds=500.0)
+    task = Predation(body_length=body_length, levels=1, reynolds=500.0)
     starts = task.sample_starts(2000, torch.Generator().manual_seed(0))
     head, length = starts["head"], body_length
     assert torch.equal(head, head.round())

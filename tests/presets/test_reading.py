@@ -47,6 +47,5 @@ def test_mistakes_are_named(name: str, changes: dict[str, object], error: str) -
 @pytest.mark.usefixtures("kinematic")
 def test_environment_takes_name() -> None:
     env = make_env(task="predation", flows=Flows(num_envs=1, compile=False))
-    default = Predation(body_length=64, levels=2)
-    assert env.base_env.task == default != make_task("predation", **SMALL)
+    assert env.base_env.task == Predation() != make_task("predation", **SMALL)
     env.close()

@@ -273,6 +273,9 @@ class Predation(AbstractPredation):
     The paper (Task 1) gives neither the food's x and limits nor the capture radius.
     """
 
+    body_length: int = 64
+    levels: int = 2
+
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Also foresee the food."""
         places = self.foresee_food(starts, solver.body.age)

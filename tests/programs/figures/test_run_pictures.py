@@ -38,7 +38,7 @@ def make_recording(
     *, num_frames: int = 17, has_succeeded: bool = True, lane: float = 1.5
 ) -> Recording:
     """Return an ellipse that swims towards its food through a vortex."""
-    task, length = Predation(body_length=20, reynolds=500.0, wall_margin_bl=0.25), 20.0
+    task, length = Predation(body_length=20, levels=1, reynolds=500.0, wall_margin_bl=0.25), 20.0
     rows, columns = torch.meshgrid(torch.arange(100), torch.arange(200), indexing="ij")
     angle = torch.linspace(0, 2 * pi, 41)[:-1]
     frames = []
