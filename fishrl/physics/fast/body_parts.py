@@ -36,8 +36,12 @@ Tree = TypeVar("Tree", bound=tuple[object, ...])
 Bodies = tuple[tuple[BodyParams, ...], tuple[BodyState, ...]]
 BODY_SETTINGS: dict[str, dict[str, object]] = {
     # The part is small and scatters: one thread, and weights are kept, not computed again for every
-    # pair of markers (six times slower at L = 100).
-    "cpu": {"cpp.threads": 1, "realize_opcount_threshold": 10},
+    # pair of markers (six times slower at L = 100). Indices are clamped to the grid: no check.
+    "cpu": {
+        "cpp.threads": 1,
+        "realize_opcount_threshold": 10,
+        "assert_indirect_indexing": False,
+    },
     # On a GPU launches count: Inductor puts kernels that do not depend on each other into one. Sums
     # over markers loop, since registers would not hold all terms.
     "cuda": {"combo_kernels": True, "triton.persistent_reductions": False},

@@ -108,7 +108,7 @@ class FlowGroup:
     Attributes:
         nodes: the nine incoming populations ``[B, Y, X]`` before an even step.
         arguments: arguments of each part, at even and odd steps.
-        repeater: the pair of steps, once it has been made.
+        repeaters: what locates bodies before many steps, and the pair of steps, once made.
         checker: the check, once it has been made.
     """
 
@@ -116,7 +116,7 @@ class FlowGroup:
         self._cells = memory.cells(0)
         self.nodes = memory.incoming(0)
         self.arguments = {part: part.bind(memory) for part in parts}
-        self.repeater: Repeater | None = None
+        self.repeaters: tuple[Repeater, Repeater] | None = None
         self.checker: Repeater | None = None
 
     def write_(self, rows: Tensor, f: Tensor) -> None:

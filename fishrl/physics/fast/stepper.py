@@ -75,11 +75,14 @@ class Stepper:
         num_pairs = num_steps // 2
         if not num_pairs:
             return
-        if self.locate is not None:
-            self.locate.run(*group.arguments[self.locate][1])  # as after an odd step
-        if group.repeater is None:
-            group.repeater = Repeater([*self.list_step(group, 0), *self.list_step(group, 1)])
-        group.repeater.run(num_pairs)
+        if group.repeaters is None:
+            first = [] if self.locate is None else [self.locate]
+            located = [(part, group.arguments[part][1]) for part in first]  # as after an odd step
+            pair = [*self.list_step(group, 0), *self.list_step(group, 1)]
+            group.repeaters = Repeater(located), Repeater(pair)
+        locator, repeater = group.repeaters
+        locator.run(1)
+        repeater.run(num_pairs)
 
     def list_step(self, group: FlowGroup, parity: int) -> list[Bound]:
         """Return the parts of an even (0) or odd (1) step in order, with a group's arguments."""
