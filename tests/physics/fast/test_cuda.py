@@ -120,7 +120,7 @@ def test_flow_on_a_gpu_equals_that_on_a_cpu(name: str, parts: list[int], toleran
     if IS_PRETENDED:
         batch = there._batch
         is_refined = isinstance(batch, RefinedBatch)
-        repeater = batch._repeaters[0] if is_refined else batch.first.repeater
+        repeater = batch._repeaters[0] if is_refined else batch.first.repeaters[1]
         for num_pairs, graph in repeater._graphs.items():
             assert len(graph.calls) <= 2 * num_pairs * MOST_LAUNCHES[name]
 
