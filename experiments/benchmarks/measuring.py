@@ -50,7 +50,7 @@ class BenchmarkSettings(Settings):
     rounds: Annotated[int, Field(ge=2)] = 15
     burst: PositiveFloat = 0.1
     groups: tuple[str, ...] = ()
-    presets: tuple[str, ...] = ("gait_bend", "gait_small", "paper")
+    presets: tuple[str, ...] = ("gait_bend", "gait_small", "small", "paper")
     before: str | None = None
     folder: str = "runs/benchmark"
     docs: str | None = None

@@ -1,4 +1,4 @@
-"""Time the parts of a preset's step: ``PYTHONPATH=<checkout> python step_clock.py <preset>``.
+"""Time the parts of a step: ``PYTHONPATH=<checkout> python step_clock.py preset=gait_bend``.
 
 It runs by its path, so that it can time the package of an older commit as well. It prints the facts
 of the flow, and answers each line with a number n by the least seconds of the parts in n steps.
@@ -6,7 +6,7 @@ of the flow, and answers each line with a number n by the least seconds of the p
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from math import pi
 from time import perf_counter
@@ -25,10 +25,9 @@ COLUMNS |= dict.fromkeys(("filling", "restriction", "shift choice"), "interface"
 BURST = 20
 
 
-def start(preset: str) -> tuple[InPlaceSolver, float]:
-    """Return one compiled flow of a preset, its bodies apart, and its tail-beat period."""
-    words = ["task=karman_gait"] if preset.startswith("gait") else []
-    task: Any = TRAINING.read([f"preset={preset}", *words]).task
+def start(words: Sequence[str]) -> tuple[InPlaceSolver, float]:
+    """Return one compiled flow of a training, its bodies apart, and its tail-beat period."""
+    task: Any = TRAINING.read(words).task
     config, period = task.flow_config(), task.scales.period
     solver = InPlaceSolver(config=config, num_envs=1, frequency=1.0 / period, num_workers=0)
     at_x = torch.linspace(0.6, 0.2, max(2, len(config.bodies)), dtype=torch.float64)
@@ -89,8 +88,7 @@ def main() -> None:
     """Answer requests until the input ends."""
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)  # as a step does, of which parts are called here
-    (preset,) = sys.argv[1:]
-    solver, period = start(preset)
+    solver, period = start(sys.argv[1:])
     state, config = solver.state_dict(), solver.config
     facts = {"width": config.width, "height": config.height, "period": period}
     print(json.dumps(facts), flush=True)

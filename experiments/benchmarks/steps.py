@@ -10,24 +10,28 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from experiments.benchmarks.environment import FLOWS, make_overhead
 from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings
+from fishrl.presets import REPLACED
 from fishrl.programs.train_settings import TRAINING
 
 ROOT = Path(__file__).parents[2]
 #: Steps of a burst.
 NUM_STEPS = 200
+#: Names of presets that only earlier versions have.
+NAMES = {"small": "L = 50"}
 
 
 class Clock:
-    """A process that times the parts of a preset's step, with the package of a folder."""
+    """A process that times the parts of a step, with the package of a folder."""
 
-    def __init__(self, preset: str, folder: Path) -> None:
+    def __init__(self, words: Sequence[str], folder: Path) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, Path(__file__).with_name("step_clock.py"), preset],
+            [sys.executable, Path(__file__).with_name("step_clock.py"), *words],
             env=os.environ | {"PYTHONPATH": str(folder.resolve()), "OMP_NUM_THREADS": "1"},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -47,6 +51,11 @@ class Clock:
         return read
 
 
+def list_words(preset: str) -> list[str]:
+    """Return the settings of a preset, also of one that only earlier versions have."""
+    return REPLACED.get(preset, f"preset={preset}").split()
+
+
 def make_steps(settings: BenchmarkSettings) -> list[Benchmark]:
     """Return benchmarks of the presets' steps, here and in the folder of an earlier commit."""
     folders = {"now": ROOT}
@@ -55,10 +64,11 @@ def make_steps(settings: BenchmarkSettings) -> list[Benchmark]:
     cases = []
     for preset in settings.presets:
         for when, folder in folders.items():
-            clock = Clock(preset, folder)
+            words = list_words(preset) if when == "now" else [f"preset={preset}"]
+            clock, name = Clock(words, folder), NAMES.get(preset, preset)
             case = Benchmark(
                 label=f"{preset}/{when}",
-                name=f"{preset}, {clock.facts['width']} × {clock.facts['height']}",
+                name=f"{name}, {clock.facts['width']} × {clock.facts['height']}",
                 scope=when,
                 advance=clock.time,
                 num_steps=NUM_STEPS,
@@ -72,10 +82,10 @@ def make_decisions(settings: BenchmarkSettings) -> list[Benchmark]:
     """Return benchmarks of a decision in all flows of each preset, in worker processes."""
     cases = []
     for preset in settings.presets:
-        words = ["task=karman_gait"] if preset.startswith("gait") else []
-        task: Any = TRAINING.read([f"preset={preset}", *words]).task
+        task: Any = TRAINING.read(list_words(preset)).task
         _, case = make_overhead(settings, task=task, flows=FLOWS)
-        case.label, case.name = f"decision/{preset}", f"{preset}, {FLOWS.num_envs} flows"
+        case.label = f"decision/{preset}"
+        case.name = f"{NAMES.get(preset, preset)}, {FLOWS.num_envs} flows"
         case.facts["flows"] = FLOWS.num_envs
         cases.append(case)
     return cases
