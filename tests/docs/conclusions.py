@@ -150,7 +150,7 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
         "the follower swims # % slower than at L = 100, for # % more power": lambda: [
             sign * float(number.replace("−", "-"))
             for sign, number in zip(
-                (-1, 1), re.findall(r"[−+]\d+(?= %)", find_line("| – | follower |")), strict=True
+                (-1, 1), re.findall(r"[−+]\d+(?= %)", find_line(r"– \| follower")), strict=True
             )
         ],
     },
