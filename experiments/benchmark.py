@@ -38,6 +38,7 @@ GROUPS = {
     "train": environment.make_training,
     "steps": steps.make_steps,
     "decisions": steps.make_decisions,
+    "tasks": steps.make_tasks,
     "compile": flows.make_compilation,
 }
 

@@ -178,6 +178,8 @@ COLUMNS: dict[str, Cell] = {
     "decisions / s": lambda case, _: (
         f"{case.facts['flows'] / find_quartiles(case.measured['seconds']).median:.0f}"
     ),
+    "first decision, s": _number("first", 0),
+    "memory, GB": _number("memory", 1, 1e-9),
 }
 SPEED = ("case", "what", "MLUPS", "/ copy")
 GPU_SPEED = ("case", "what", "MLUPS", "/ copy on the GPU")
@@ -207,16 +209,23 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
         (*STEPS, *RATIOS),
     ),
     ("decisions", "Decisions", "", ("case", "decisions / s", "share outside the flow, %")),
+    (
+        "tasks",
+        "Speed",
+        "",
+        ("case", "decisions / s", "s / T and flow", "first decision, s", "memory, GB"),
+    ),
     ("compile", "Compilation", "Time until the first step with a fish.", ("case", "seconds")),
 )
 
 
 #: Marks, their page, and the groups whose tables stand between them; goals summarise the others.
-PRESETS, MEASURED, GRIDS = "presets", "measured", "grids"
+PRESETS, MEASURED, GRIDS, TASKS = "presets", "measured", "grids", "speeds"
 PAGES = {
     PRESETS: ("performance.md", ("steps", "decisions")),
     MEASURED: ("performance.md", ("coupled", "gpu")),
     GRIDS: ("resolution.md", ("levels",)),
+    TASKS: ("benchmark.md", ("tasks",)),
 }
 
 

@@ -1,4 +1,4 @@
-"""Benchmarks of what people train on: the step of each preset by its parts, and decisions.
+"""Benchmarks of what people train on: the step of each preset by its parts, decisions, tasks.
 
 One flow on one core. With ``before``, the folder of another commit, its step takes turns with ours:
 
@@ -7,15 +7,20 @@ One flow on one core. With ``before``, the folder of another commit, its step ta
 """
 
 import json
+import multiprocessing
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 from experiments.benchmarks.environment import FLOWS, make_overhead
 from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings
+from fishrl.benchmark import list_versions
+from fishrl.envs import Flows, make_env, make_task
 from fishrl.presets import REPLACED
 from fishrl.programs.train_settings import TRAINING
 
@@ -89,3 +94,45 @@ def make_decisions(settings: BenchmarkSettings) -> list[Benchmark]:
         case.facts["flows"] = FLOWS.num_envs
         cases.append(case)
     return cases
+
+
+def make_tasks(settings: BenchmarkSettings) -> list[Benchmark]:
+    """Measure random actions in each task of the benchmark, in a process of its own."""
+    cases, spawn = [], multiprocessing.get_context("spawn")
+    for name in list_versions():
+        if "-quick-" in name:
+            continue
+        with ProcessPoolExecutor(1, mp_context=spawn) as process:
+            measured, facts = process.submit(time_task, name).result()
+        cases.append(
+            Benchmark(label=f"tasks/{name}", name=name, num_steps=0, measured=measured, facts=facts)
+        )
+    return cases
+
+
+def time_task(
+    name: str, flows: Flows = FLOWS, num_decisions: int = 20
+) -> tuple[dict[str, list[float]], dict[str, Any]]:
+    """Return seconds of the first decision and of the next ones, memory in bytes, and facts."""
+    start = time.perf_counter()
+    task = make_task(name)
+    env = make_env(task=task, flows=flows, seed=0)
+    state, times = env.reset(), []
+    for _ in range(1 + num_decisions):
+        _, state = env.step_and_maybe_reset(env.rand_action(state))
+        times.append(time.perf_counter())
+    measured = {
+        "first": [times[0] - start],
+        "seconds": [(times[-1] - times[0]) / num_decisions],
+        "memory": [float(sum_memory(os.getpid()))],
+    }
+    env.close()
+    return measured, {"flows": flows.num_envs, "period": 1.0 / task.interval_T}
+
+
+def sum_memory(process: int) -> int:
+    """Return the bytes of a process and its children under Linux; shared ones count once."""
+    folder = Path(f"/proc/{process}")
+    own = (folder / "smaps_rollup").read_text().split("Pss:")[1].split()[0]
+    children = (folder / "task" / str(process) / "children").read_text().split()
+    return 1024 * int(own) + sum(sum_memory(int(child)) for child in children)

@@ -1,5 +1,9 @@
 """Benchmarks of flows, their steps, environments and training: what each measures."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 import torch
 
@@ -10,6 +14,7 @@ from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import FISH, KERNEL, BenchmarkSettings, Results, measure
 from experiments.benchmarks.report import render_results
 from experiments.benchmarks.step_clock import time_parts
+from experiments.benchmarks.steps import sum_memory, time_task
 from fishrl.envs import Flows, Predation
 from fishrl.physics import InPlaceSolver
 from fishrl.training.settings import LearningSettings
@@ -68,6 +73,20 @@ def test_share_of_action_outside_flow_is_measured() -> None:
     for case in (env, policy):
         case.prepare()
         assert 0.0 < case.advance(1)["outside_flow"] < 1.0
+
+
+def test_speed_and_memory_of_a_task_are_measured() -> None:
+    measured, facts = time_task("station-quick-v0", Flows(num_envs=1, compile=False), 1)
+    assert facts == {"flows": 1, "period": pytest.approx(8.0, rel=0.02)}  # decisions per T
+    assert measured["first"][0] > measured["seconds"][0] > 0.0
+    before = sum_memory(os.getpid())
+    child = subprocess.Popen(
+        [sys.executable, "-c", "held = b'x' * 200_000_000; print(flush=True); input()"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+    )  # fmt: skip
+    child.stdout.readline()
+    assert sum_memory(os.getpid()) - before == pytest.approx(200e6, rel=0.2)
+    child.communicate(b"\n")
 
 
 def test_share_of_learning_is_measured() -> None:
