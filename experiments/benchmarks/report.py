@@ -211,8 +211,8 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("decisions", "Decisions", "", ("case", "decisions / s", "share outside the flow, %")),
     (
         "tasks",
-        "Speed",
-        "",
+        "Tasks of the benchmark",
+        "Random actions in 16 flows; compiled code and wakes are cached.",
         ("case", "decisions / s", "s / T and flow", "first decision, s", "memory, GB"),
     ),
     ("compile", "Compilation", "Time until the first step with a fish.", ("case", "seconds")),
@@ -220,12 +220,11 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
 
 
 #: Marks, their page, and the groups whose tables stand between them; goals summarise the others.
-PRESETS, MEASURED, GRIDS, TASKS = "presets", "measured", "grids", "speeds"
+PRESETS, MEASURED, GRIDS = "presets", "measured", "grids"
 PAGES = {
-    PRESETS: ("performance.md", ("steps", "decisions")),
+    PRESETS: ("performance.md", ("steps", "decisions", "tasks")),
     MEASURED: ("performance.md", ("coupled", "gpu")),
     GRIDS: ("resolution.md", ("levels",)),
-    TASKS: ("benchmark.md", ("tasks",)),
 }
 
 
