@@ -257,6 +257,7 @@ def test_setting_that_an_error_names_helps(case: Case) -> None:
     make, name, _, good = case
     message, _ = begin(case)
     assert re.search(rf"\b{name}\b", message), message
+    assert "None" not in message.rpartition(":")[2]
     make(**{} if good is OUT else {name: good})
 
 
