@@ -64,10 +64,12 @@ def render(node: ast.AST) -> str:
 
 
 def list_messages(tree: ast.AST) -> Iterator[tuple[range, str]]:
-    """List the lines and texts of all errors that are raised."""
+    """List the lines and texts of all errors that are raised, or returned to be raised."""
     for node in ast.walk(tree):
-        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
-            yield node.lineno, "".join(map(render, node.exc.args))
+        made = getattr(node, "exc", None) or getattr(node, "value", None)
+        is_error = isinstance(node, ast.Raise | ast.Return) and isinstance(made, ast.Call)
+        if is_error and (isinstance(node, ast.Raise) or ast.unparse(made.func).endswith("Error")):
+            yield node.lineno, "".join(map(render, made.args))
 
 
 def list_names(tree: ast.AST) -> Iterator[str]:
@@ -159,7 +161,7 @@ CASES: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (make_flow, {"diameter": 20, "num_markers": 20}),
     (make_flow, {"diameter": 20, "marker_spacing": 1.5}),
     (make_flow, {"diameter": 16, "density_ratio": 0.7, "motion": Free(), "skin": BLURRED}),
-    (Predation, {"wall_margin_bl": 0.01}),
+    (make_bend, {"levels": 1, "wall_margin_bl": 0.01}),
     (Predation, {"reynolds": 1e5}),
     (Predation, {"control": Turn(turn_degrees=170.0), "max_wall_speed": 0.15}),
     (make_bend, {"response_T": 0.05}),
@@ -224,6 +226,7 @@ UNTRIED = {
     "make a new solver": "of a solver that was closed, or whose workers have ended",
     "make another one, and load_state_dict": "tests/physics/fast/test_solver.py does it",
     "append the transform that writes it": "tests/envs/test_transforms.py does it",
+    "use another one, such as": "of a damaged checkpoint",
     "any more; give": "tests/presets/test_replaced.py composes each",
     "has no mirror image; give its": "tests/envs/test_mirror.py gives them to tasks",
 }

@@ -48,6 +48,7 @@ class ToyPredation:
     scales = SimpleNamespace(period=10, body_length=10)
 
     time_limit: int = 30
+    levels: int = 1
     capture_radius_bl: float = 0.4
     food_speed_bl: float = 0.3
     divergence_rate: float = 0.0
