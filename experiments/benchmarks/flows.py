@@ -118,7 +118,7 @@ def make_swimmers(settings: BenchmarkSettings, *, has_fish: bool = True) -> list
         ("large", large, settings.cores, (1,), 0),
         ("huge", 2 * large, settings.cores, (1,), 0),
         ("single", large, "one core", (1,), 1),
-        ("batch", large // 2, "one core each", (1, 2, 4, 8, 16, 32), min(settings.threads, 32)),
+        ("batch", large // 2, "one core each", (1, 4, 16), min(settings.threads, 16)),
     ):
         before, num_envs = count_tensor_bytes(), max(batches)
         solver = make_solver(length, has_fish=has_fish, num_envs=num_envs, num_workers=num_workers)

@@ -55,12 +55,11 @@ GOALS = (
 
 
 def list_goals(results: Results) -> list[list[str]]:
-    """Return each goal with target, measured value, and whether the median meets it."""
+    """Return each goal that was measured, with target, value, and whether the median meets it."""
     lines = []
     for what, target, quantity, label in GOALS:
         (sign, bound, unit), case = target.split(), results.find(label)
         ours = results.find(quantity) if sign == "≥" else case
-        line = [what, target, "–", "not measured"]
         if case and ours:
             if sign == "≥":
                 found = compare_speeds(ours, case)
@@ -69,8 +68,8 @@ def list_goals(results: Results) -> list[list[str]]:
                 factor = {"%": 100.0, "ms": 1e3}.get(unit, 1.0)
                 found = find_quartiles(factor * np.array(case.measured[quantity]))
                 is_met = found.median <= float(bound)
-            line[2:] = [f"{found.show()} {unit}", "met" if is_met else "MISSED"]
-        lines.append(line)
+            verdict = "met" if is_met else "MISSED"
+            lines.append([what, target, f"{found.show()} {unit}", verdict])
     return lines
 
 
@@ -230,9 +229,10 @@ PAGES = {
 
 def render_results(results: Results, mark: str | None = None) -> str:
     """Return a description of the run, its goals and the tables of a mark, by default of all."""
-    goals = write_table(("goal", "target", "measured", "result"), list_goals(results))
-    tables = [f"### Goals\n\nRatios of the same round: median and quartiles.\n\n{goals}"]
-    tables = tables if mark in (None, MEASURED) else []
+    tables, goals = [], list_goals(results)
+    if goals and mark in (None, MEASURED):
+        table = write_table(("goal", "target", "measured", "result"), goals)
+        tables = [f"### Goals\n\nRatios of the same round: median and quartiles.\n\n{table}"]
     for group, title, note, columns in TABLES:
         if (mark is None or group in PAGES[mark][1]) and (cases := results.of_group(group)):
             cells = [[COLUMNS[c](case, results) or "–" for c in columns] for case in cases]

@@ -19,7 +19,7 @@ from typing import Any
 
 from experiments.benchmarks.environment import FLOWS, make_overhead
 from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings
-from fishrl.benchmark import list_versions
+from fishrl.benchmark import find_version, list_versions
 from fishrl.envs import Flows, make_env, make_task
 from fishrl.presets import REPLACED
 from fishrl.programs.train_settings import TRAINING
@@ -97,10 +97,10 @@ def make_decisions(settings: BenchmarkSettings) -> list[Benchmark]:
 
 
 def make_tasks(settings: BenchmarkSettings) -> list[Benchmark]:
-    """Measure random actions in each task of the benchmark, in a process of its own."""
+    """Measure random actions in each task of the benchmark that has its own flows, in a process."""
     cases, spawn = [], multiprocessing.get_context("spawn")
     for name in list_versions():
-        if "-quick-" in name:
+        if "-quick-" in name or find_version(name).references is not None:
             continue
         with ProcessPoolExecutor(1, mp_context=spawn) as process:
             measured, facts = process.submit(time_task, name).result()

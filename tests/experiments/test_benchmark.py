@@ -50,7 +50,7 @@ def test_run_interleaves_cases_and_stores_all_times(
     assert TURNS == ["a3", "b3"] * 3  # a warm-up and two rounds
     text = capsys.readouterr().out
     assert "| compile, warm | ≤ 1 s | 0.50 s | met |" in text
-    assert "| GPU, bulk / copy | ≥ 0.9 × | – | not measured |" in text
+    assert "GPU, bulk / copy" not in text  # not measured
     kept = json.loads((tmp_path / "results.json").read_text())
     assert {"cpu", "cores", "torch", "versions", "caches", "load"} <= set(kept["machine"])
     assert [case["label"] for case in kept["cases"]] == ["a/walls", "b/walls", "compile/warm"]

@@ -73,11 +73,11 @@ def test_ratios_compare_node_updates_of_the_same_round() -> None:
     assert measure_bandwidth(make_case("a", [1000, 1000])) == pytest.approx((72.0,) * 3)
 
 
-def test_goals_are_met_missed_or_not_measured(results: Results) -> None:
+def test_goals_are_met_missed_or_left_out(results: Results) -> None:
     lines = {line[0]: line[1:] for line in list_goals(results)}
     fish = lines["GPU, whole step with fish / copy"]
     assert fish == ["≥ 0.75 ×", "0.70 ×", "MISSED"]
-    assert lines["GPU, bulk / copy"][1:] == ["–", "not measured"]
+    assert "GPU, bulk / copy" not in lines  # not measured
     assert lines["share of an environment step outside the flow"] == ["≤ 2 %", "1.00 %", "met"]
 
 
@@ -95,7 +95,7 @@ def test_figures_show_available_results(results: Results, tmp_path: Path) -> Non
     assert [file.name for file in files] == ["roofline.png", "scaling.png"]
     results.cases = []
     assert write_plots(results, tmp_path) == {}
-    assert render_results(results).count("###") == 1  # the goals
+    assert "###" not in render_results(results)
 
 
 def test_page_changes_only_between_marks(results: Results, tmp_path: Path) -> None:
