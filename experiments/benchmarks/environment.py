@@ -25,7 +25,7 @@ FLOWS = Flows(num_envs=16)
 
 
 def make_task(settings: BenchmarkSettings) -> Predation:
-    """Return the task of preset ``small`` with L / 2 and the same relaxation time."""
+    """Return predation on one level with L / 2 and the relaxation time of L = 50 at Re = 7000."""
     length = settings.body_length // 2
     return Predation(body_length=length, levels=1, reynolds=140.0 * length)
 
