@@ -63,7 +63,7 @@ def render(node: ast.AST) -> str:
     return "".join(map(render, parts))
 
 
-def list_messages(tree: ast.AST) -> Iterator[tuple[range, str]]:
+def list_messages(tree: ast.AST) -> Iterator[tuple[int, str]]:
     """List the lines and texts of all errors that are raised, or returned to be raised."""
     for node in ast.walk(tree):
         made = getattr(node, "exc", None) or getattr(node, "value", None)
@@ -195,7 +195,7 @@ def is_accepted(make: Callable[..., Any], given: dict[str, Any]) -> bool:
 
 
 ALL = [*FLOWS, *ENVS, *RUNS]
-#: What is to be done, at the begin of a clause.
+#: What is to be done, at the beginning of a clause.
 ADVISED = re.compile(
     r"(?:[:;,] |^|\b(?:or|and) )(?:append|bend|call|change|choose|collect|configure|create|enlarge"
     r"|exclude|free|give|increase|keep|leave|lower|make|measure|move|name|raise|record|remove"

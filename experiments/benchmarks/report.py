@@ -91,7 +91,7 @@ def _over(label: str, case: Benchmark, results: Results) -> str | None:
 
 def _price(case: Benchmark, results: Results) -> str:
     seconds = find_quartiles(case.measured["seconds"]).median
-    return f"{seconds * case.facts['period'] / case.facts['flows']:.2f}"
+    return f"{seconds * case.facts['period'] / case.facts['flows']:.3f}"
 
 
 def _time_beat(case: Benchmark) -> float:
@@ -211,7 +211,7 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     (
         "tasks",
         "Tasks of the benchmark",
-        "Random actions in 16 flows; compiled code and wakes are cached.",
+        "Random actions in 16 flows; compiled code and wakes are cached. T is the task's unit.",
         ("case", "decisions / s", "s / T and flow", "first decision, s", "memory, GB"),
     ),
     ("compile", "Compilation", "Time until the first step with a fish.", ("case", "seconds")),

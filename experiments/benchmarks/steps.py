@@ -124,8 +124,9 @@ def time_task(
     measured = {
         "first": [times[0] - start],
         "seconds": [(times[-1] - times[0]) / num_decisions],
-        "memory": [float(sum_memory(os.getpid()))],
     }
+    if sys.platform == "linux":
+        measured["memory"] = [float(sum_memory(os.getpid()))]
     env.close()
     return measured, {"flows": flows.num_envs, "period": 1.0 / task.interval_T}
 

@@ -20,8 +20,15 @@ from torchrl import checkpoint as torchrl_checkpoint
 
 from fishrl.files import load_tensors, write_whole
 from fishrl.training.policy_spec import CHECKED, PolicySpec
-from fishrl.training.recognition import locate
-from fishrl.training.run_folder import Count, RunFolder, Stored, Tree, read_plain, refuse_many
+from fishrl.training.run_folder import (
+    Count,
+    RunFolder,
+    Stored,
+    Tree,
+    complete_settings,
+    read_plain,
+    refuse_many,
+)
 from fishrl.zoo import find_folder
 
 MANIFEST, SUMS = "manifest.json", "SHA256SUMS"
@@ -158,7 +165,7 @@ class Checkpoint:
     @cached_property
     def config(self) -> dict[str, Any]:
         """Settings of the run, see ``Plan.from_config``."""
-        return locate(self.manifest.metadata.config, self.path)
+        return complete_settings(self.manifest.metadata.config, self.path)
 
     @cached_property
     def files(self) -> dict[str, Path]:

@@ -106,17 +106,13 @@ def name_content(file: Path) -> str:
 def locate(config: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return stored settings of a run with the path of its classifier, wherever the run lies now.
 
-    Runs of version 0.3.0 and before, whose tasks do not say so, had one level.
-
     Args:
         config: as ``Plan.to_config`` returns them.
         folder: of the run, or of one of its checkpoints.
     """
-    stored, task, named = dict(config), config.get("task"), config.get("recognition")
-    if isinstance(task, Mapping):
-        stored["task"] = {"levels": 1, **task}
+    named = config.get("recognition")
     if not isinstance(named, Mapping) or named.get("path") != FILE:
-        return stored
+        return dict(config)
     places = [place / FILE for place in (folder, *folder.resolve().parents[:2])]
     file = next((path for path in places if path.is_file()), places[0])
-    return {**stored, "recognition": {**named, "path": str(file)}}
+    return {**config, "recognition": {**named, "path": str(file)}}

@@ -167,7 +167,22 @@ def read_plain(path: Path, kind: Any, *, what: str) -> Any:
 def read_config(path: Path) -> dict[str, Any]:
     """Read the ``config.yaml`` of a run; raise ValueError if it holds no settings."""
     config = read_plain(path, Tree, what="the configuration of a run")
-    return locate(config, path.parent)
+    return complete_settings(config, path.parent)
+
+
+def complete_settings(config: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return stored settings of a run with the path of its classifier, wherever the run lies now.
+
+    Tasks of version 0.3.0 and before, which name no levels, have one.
+
+    Args:
+        config: as ``Plan.to_config`` returns them.
+        folder: of the run, or of one of its checkpoints.
+    """
+    task = config.get("task")
+    if isinstance(task, Mapping):
+        config = {**config, "task": {"levels": 1, **task}}
+    return locate(config, folder)
 
 
 def read_summary(path: Path) -> dict[str, Any]:

@@ -58,7 +58,7 @@ def list_sources(width: int, height: int, row: int) -> Tensor:
 
 
 def number_ring(width: int, height: int, row: int) -> Tensor:
-    """Return the numbers of the nodes of a patch that the values of ``fill_ring`` belong to.
+    """Return the numbers ``[8 (N - 3)]`` of the patch's nodes that ``fill_ring`` has values of.
 
     There are ``row`` from one row to the next; values that belong to none have -1.
     """
