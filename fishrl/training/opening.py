@@ -96,9 +96,9 @@ class Opened:
         """Return by device what will be in its memory at once, and how much, bytes."""
         plan, spec, config = self.plan, self.spec, self.task.flow_config()
         transition = 2 * (spec.num_inputs + spec.num_critic_inputs + spec.num_actions)
-        # the eager step of the flows that advance together has some sixty temporary fields
+        # the eager step of the flows that advance together has some forty-five temporary fields
         together = plan.flows.num_envs if plan.flows.device != "cpu" else 1
-        copies = 2 * plan.flows.num_envs + (0 if plan.flows.compile else 7 * together)
+        copies = 2 * plan.flows.num_envs + (0 if plan.flows.compile else 5 * together)
         needed: dict[str, dict[str, float]] = {plan.flows.device: {}, plan.policy_device: {}}
         needed[plan.flows.device]["flows and their copy at evaluations and checkpoints"] = (
             copies * config.num_bytes
