@@ -4,7 +4,6 @@ All cases take turns in short bursts. Tables, goals and figures show medians and
 rounds, and ratios of the same round.
 
     python -m experiments.benchmark groups=[solver,env]      # some groups
-    python -m experiments.benchmark groups=[steps] before=b  # presets' steps, and those of folder b
     python -m experiments.benchmark docs=docs                # put the results into pages, too
 """
 

@@ -15,10 +15,9 @@ import torch
 from experiments.benchmarks import measuring
 from experiments.benchmarks.accuracy import read_errors
 from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings, repeat
-from experiments.benchmarks.step_clock import Steps, list_calls, time_pair
+from experiments.benchmarks.step_clock import clock_parts, list_steps
 from fishrl.physics import Boundaries, InPlaceSolver, Scales
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
-from fishrl.torch_state import in_own_state
 
 
 def make_solver(
@@ -57,15 +56,12 @@ def make_case(
     """Return the benchmark of a step of the first ``num_flows`` flows, by default of all."""
     config, num_flows = solver.config, num_flows or solver.num_envs
     is_first = torch.arange(solver.num_envs) < num_flows
-    populations = sum(tensor.nbytes for tensor in solver.state_dict().values())
     return Benchmark(
         label=label,
         name=f"{num_flows} × {config.width} × {config.height}, {how}",
         num_nodes=num_flows * config.width * config.height,
         scope=measuring.FISH if config.bodies else measuring.WALLS,
         advance=partial(solver.advance_, rows=None if is_first.all() else is_first),
-        working_set=round(populations * num_flows / solver.num_envs),
-        bytes_per_update=72,
         facts={"flows": num_flows, "body_length": config.width // 10},
     )
 
@@ -82,31 +78,17 @@ def make_copy(label: str, num_nodes: int, device: str = "cpu") -> Benchmark:
     """Return the benchmark of a copy of nine populations, as in a step with two buffers."""
     source = torch.ones(9 * num_nodes, device=device)
     return Benchmark(
-        label=label, name=f"copy of {source.nbytes / 1e6:.0f} MB", scope=measuring.PROBE,
-        advance=repeat(partial(torch.empty_like(source).copy_, source)), num_nodes=num_nodes,
-        working_set=2 * source.nbytes,
-    )  # fmt: skip
+        label=label,
+        name=f"copy of {source.nbytes / 1e6:.0f} MB",
+        scope=measuring.PROBE,
+        advance=repeat(partial(torch.empty_like(source).copy_, source)),
+        num_nodes=num_nodes,
+    )
 
 
 def make_probes(settings: BenchmarkSettings) -> list[Benchmark]:
-    """Return upper bounds at the size of the large flow: a copy, and nine arrays scaled in place.
-
-    The second moves the bytes of a step in one buffer; on a CPU it is faster, since it writes to
-    cached memory.
-    """
-    num_nodes = 50 * settings.body_length**2
-    arrays = torch.ones(9, num_nodes)
-
-    def scale(factor: float) -> None:
-        for array in arrays:
-            array.mul_(factor)
-
-    in_place = Benchmark(
-        label="probe/in place", name=f"nine arrays of {arrays.nbytes / 9e6:.1f} MB scaled in place",
-        scope=measuring.PROBE, advance=repeat(partial(scale, 1.25), partial(scale, 0.8)),
-        num_nodes=num_nodes, working_set=arrays.nbytes,
-    )  # fmt: skip
-    return [make_copy("probe/copy", num_nodes), in_place]
+    """Return the upper bound of a step in two buffers: a copy of the size of the large flow."""
+    return [make_copy("probe/copy", 50 * settings.body_length**2)]
 
 
 def make_swimmers(settings: BenchmarkSettings, *, has_fish: bool = True) -> list[Benchmark]:
@@ -171,22 +153,6 @@ def advance_pairs(solver: InPlaceSolver, unit: int, num_pairs: int) -> dict[str,
     before = time.process_time()
     solver.advance_(unit * num_pairs)
     return {"cpu": (time.process_time() - before) / num_pairs}
-
-
-def list_steps(solver: InPlaceSolver) -> Steps:
-    """Return the calls of a pair of steps by their column, without changing the flow."""
-    before, steps = solver.state_dict(), list_calls(solver)
-    solver.load_state_dict(before)
-    return steps
-
-
-@in_own_state  # as a step does: no denormal numbers
-def clock_parts(case: Benchmark, solver: InPlaceSolver, steps: Steps) -> None:
-    """Measure the least seconds of the parts of a pair of steps; the flow does not change."""
-    before, pairs = solver.state_dict(), [time_pair(steps) for _ in range(10)]
-    for column in pairs[0]:
-        case.measured.setdefault(column, []).append(min(pair[column] for pair in pairs))
-    solver.load_state_dict(before)
 
 
 def make_flows(settings: BenchmarkSettings) -> list[Benchmark]:

@@ -39,8 +39,7 @@ class BenchmarkSettings(Settings):
         rounds: bursts of every benchmark.
         burst: duration of a burst, seconds.
         groups: groups of benchmarks; by default all.
-        presets: whose steps and decisions are measured.
-        before: folder with the package of an earlier commit, whose steps are measured as well.
+        presets: tasks and presets whose steps and decisions are measured.
         folder: folder for results and figures.
         docs: folder of the documentation whose page receives the results.
     """
@@ -50,8 +49,7 @@ class BenchmarkSettings(Settings):
     rounds: Annotated[int, Field(ge=2)] = 15
     burst: PositiveFloat = 0.1
     groups: tuple[str, ...] = ()
-    presets: tuple[str, ...] = ("gait_bend", "gait_small", "small", "paper")
-    before: str | None = None
+    presets: tuple[str, ...] = ("gait_bend", "gait_small", "predation", "paper")
     folder: str = "runs/benchmark"
     docs: str | None = None
 
@@ -71,9 +69,6 @@ class Benchmark:
     prepare: Any = None  #: called before each burst, untimed
     scope: str = ""  #: part of a step: kernel, periodic, with walls, with fish
     num_nodes: int = 0  #: node updates of one step in all flows
-    working_set: int = 0  #: bytes that a step accesses
-    #: bytes of a node update if each population is read and written once
-    bytes_per_update: int = 72
     num_steps: int | None = None  #: steps per burst; None fills its duration, 0 times nothing
     facts: dict[str, Any] = field(default_factory=dict)  #: properties known in advance
     #: by round: "seconds" of one step, and the numbers that ``advance`` returns

@@ -1,60 +1,20 @@
-"""Figures: bandwidth relative to that of memory, and speed against size."""
+"""The figure of a run: speed against size."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from matplotlib.patches import Patch
-
-from experiments.benchmarks.measuring import FISH, KERNEL, PERIODIC, WALLS, Benchmark, Results
+from experiments.benchmarks.measuring import Benchmark, Results
 from experiments.benchmarks.report import measure_speed
 from fishrl.programs.figures.style import COLOURS, panels
 
-SCOPES = {KERNEL: COLOURS[4], PERIODIC: COLOURS[0], WALLS: COLOURS[2], FISH: COLOURS[1]}
-
 
 def write_plots(results: Results, folder: Path) -> dict[Path, str]:
-    """Write figures of the results into a folder; return their files and captions."""
+    """Write the figure of the results, if any, into a folder; return its file and caption."""
     folder.mkdir(parents=True, exist_ok=True)
-    bandwidth, scaling = folder / "roofline.png", folder / "scaling.png"
-    written = {}
-    if cases := [case for case in results.cases if case.scope in SCOPES]:
-        written[bandwidth] = "Bandwidth of each step and of the memory"
-        write_bandwidth(cases, results, bandwidth)
-    if cases := results.of_group("coupled"):
-        written[scaling] = "Speed against grid size and number of flows"
-        write_scaling(cases, results.machine["caches"], scaling)
-    return written
-
-
-def measure_bandwidth(case: Benchmark) -> tuple[float, ...]:
-    """Return the bandwidth in GB/s if each population is read and written once."""
-    return tuple(1e-3 * case.bytes_per_update * speed for speed in measure_speed(case))
-
-
-def write_bandwidth(cases: Sequence[Benchmark], results: Results, path: Path) -> None:
-    """Draw the bandwidth of each step next to a copy and an in-place pass."""
-    cases = sorted(cases, key=lambda case: measure_bandwidth(case)[1])
-    with panels(path, size=(9.0, 1.6 + 0.27 * len(cases))) as [[axes]]:
-        for i, case in enumerate(cases):
-            low, median, high = measure_bandwidth(case)
-            axes.barh(
-                i, median, color=SCOPES[case.scope], height=0.72,
-                xerr=[[median - low], [high - median]], error_kw={"capsize": 2},
-            )  # fmt: skip
-            axes.text(high, i, f"  {median:.3g}", va="center", fontsize=8)
-        for name, style, side in (("copy", "--", "right"), ("in place", ":", "left")):
-            if probe := results.find(f"probe/{name}"):
-                speed = measure_bandwidth(probe)[1]
-                axes.axvline(speed, color="#222222", linestyle=style, linewidth=1.0)
-                axes.text(speed, len(cases) - 0.35, f"{name} {speed:.0f}", ha=side, fontsize=8)
-        axes.set_yticks(range(len(cases)), [case.name for case in cases], fontsize=8)
-        axes.set(xlabel="GB/s at 72 bytes per node update", ylim=(-0.6, len(cases) - 0.4))
-        axes.margins(x=0.08)
-        handles = [Patch(color=colour, label=name) for name, colour in SCOPES.items()]
-        axes.figure.legend(
-            handles=handles, fontsize=8, loc="outside lower center", ncols=len(SCOPES)
-        )
-        axes.grid(axis="y", visible=False)
+    if not (cases := results.of_group("coupled")):
+        return {}
+    write_scaling(cases, results.machine["caches"], folder / "scaling.png")
+    return {folder / "scaling.png": "Speed against grid size and number of flows"}
 
 
 def write_scaling(cases: Sequence[Benchmark], caches: dict[str, int], path: Path) -> None:

@@ -138,11 +138,6 @@ def _least(name: str, case: Benchmark, results: Results) -> str | None:
     return f"{1e6 * _sum_least([name], case):.0f}" if name in case.measured else None
 
 
-def _over_before(names: Sequence[str], case: Benchmark, results: Results) -> str | None:
-    before = results.find(case.label.replace("/now", "/before"))
-    return f"{_sum_least(names, case) / _sum_least(names, before):.2f}" if before else None
-
-
 #: What a step does for the bodies: reflection or coupling, finding their skins, uncovered nodes.
 BODY_PARTS = ("exchange", "skin", "uncovering")
 PARTS = ("collision", *BODY_PARTS, "edges", "interface")
@@ -161,12 +156,10 @@ COLUMNS: dict[str, Cell] = {
     "share of learning, %": _number("learning", 1, 100.0),
     "seconds": _number("seconds", 1),
     "step, µs": partial(_least, "seconds"),
-    **{name: partial(_least, name) for name in ("collision", *BODY_PARTS, "edges")},
+    **{name: partial(_least, name) for name in PARTS},
     "step / collision": lambda case, _: (
         f"{_sum_least(['seconds'], case) / _sum_least(['collision'], case):.2f}"
     ),
-    "step / before": partial(_over_before, ["seconds"]),
-    "bodies / before": partial(_over_before, BODY_PARTS),
     "s / T": lambda case, _: f"{min(case.measured['seconds']) * case.facts['period']:.3f}",
     "CPU s / T": lambda case, _: f"{_time_beat(case):.3f}",
     "Re = 500, %": partial(_error, 500),
@@ -184,8 +177,7 @@ SPEED = ("case", "what", "MLUPS", "/ copy")
 GPU_SPEED = ("case", "what", "MLUPS", "/ copy on the GPU")
 MEMORY, PRICE = "memory, B / node", ("µs / step", "s / T and flow")
 OUTSIDE = ("case", "ms", "share outside the flow, %")
-STEPS = ("case", "what", "step, µs", "collision", *BODY_PARTS, "edges", "step / collision")
-RATIOS = ("step / before", "bodies / before", "s / T")
+STEPS = ("case", "step, µs", *PARTS, "step / collision", "s / T")
 ERRORS = ("Re = 500, %", "Re = 7142, %")
 #: Group, heading, line above the table, columns.
 TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
@@ -205,7 +197,7 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
         "steps",
         "Steps of the presets",
         "Least times of one flow on one core. T is a tail beat.",
-        (*STEPS, *RATIOS),
+        STEPS,
     ),
     ("decisions", "Decisions", "", ("case", "decisions / s", "share outside the flow, %")),
     (

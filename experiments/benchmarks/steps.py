@@ -1,96 +1,82 @@
-"""Benchmarks of what people train on: the step of each preset by its parts, decisions, tasks.
+"""Benchmarks of what people train on: the step of each preset by its parts, decisions, tasks."""
 
-One flow on one core. With ``before``, the folder of another commit, its step takes turns with ours:
-
-    mkdir before && git archive e28df4c1 fishrl | tar x -C before
-    python -m experiments.benchmark 'groups=[steps]' before=before
-"""
-
-import json
 import multiprocessing
 import os
-import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from math import pi
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from experiments.benchmarks.environment import FLOWS, make_overhead
 from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings
+from experiments.benchmarks.step_clock import clock_parts, list_steps
 from fishrl.benchmark import find_version, list_versions
-from fishrl.envs import Flows, make_env, make_task
-from fishrl.presets import REPLACED
-from fishrl.programs.train_settings import TRAINING
+from fishrl.envs import AbstractTask, Flows, make_env, make_task
+from fishrl.physics import InPlaceSolver
+from fishrl.torch_state import one_thread
 
-ROOT = Path(__file__).parents[2]
 #: Steps of a burst.
 NUM_STEPS = 200
-#: Names of presets that only earlier versions have.
-NAMES = {"small": "L = 50"}
 
 
-class Clock:
-    """A process that times the parts of a step, with the package of a folder."""
-
-    def __init__(self, words: Sequence[str], folder: Path) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, Path(__file__).with_name("step_clock.py"), *words],
-            env=os.environ | {"PYTHONPATH": str(folder.resolve()), "OMP_NUM_THREADS": "1"},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        self.facts = self._read()
-
-    def time(self, num_steps: int) -> dict[str, float]:
-        """Return the least seconds of each part, and of a step, in a burst."""
-        assert self._process.stdin is not None
-        print(num_steps, file=self._process.stdin, flush=True)
-        return self._read()
-
-    def _read(self) -> dict[str, Any]:
-        assert self._process.stdout is not None
-        read: dict[str, Any] = json.loads(self._process.stdout.readline())
-        return read
+def start_flow(task: AbstractTask, **options: Any) -> InPlaceSolver:
+    """Return one compiled flow of a task after some steps, its bodies apart."""
+    config, frequency = task.flow_config(), 1.0 / task.scales.period
+    solver = InPlaceSolver(config=config, num_envs=1, frequency=frequency, num_workers=0, **options)
+    num = len(config.bodies)
+    at_x = torch.linspace(0.6, 0.2, max(2, num), dtype=torch.float64)[:num]
+    places = torch.stack((at_x * config.width, 0.0 * at_x + 0.5 * config.height), -1)
+    solver.reset_(torch.ones(1, dtype=torch.bool), places[None], torch.full((1, num), pi))
+    solver.compile()
+    solver.advance_(NUM_STEPS)
+    return solver
 
 
-def list_words(preset: str) -> list[str]:
-    """Return the settings of a preset, also of one that only earlier versions have."""
-    return REPLACED.get(preset, f"preset={preset}").split()
+def make_step(name: str, task: AbstractTask, **options: Any) -> Benchmark:
+    """Return the benchmark of the step of one flow, on one core, and of its parts."""
+    with one_thread():
+        solver = start_flow(task, **options)
+        steps, start = list_steps(solver), solver.state_dict()
+    config = solver.config
+
+    def prepare() -> None:
+        """Return to the start, for the fish swims away, and time the parts."""
+        with one_thread():
+            solver.load_state_dict(start)
+            solver.advance_(2 * config.coarsest_spacing)  # which finds where the bodies are
+            clock_parts(case, solver, steps)
+
+    def advance(num_steps: int) -> None:
+        with one_thread():
+            solver.advance_(num_steps)
+
+    case = Benchmark(
+        label=f"steps/{name}",
+        name=f"{name}, {config.width} × {config.height}",
+        prepare=prepare,
+        advance=advance,
+        num_steps=NUM_STEPS,
+        facts={"period": task.scales.period},
+    )
+    return case
 
 
 def make_steps(settings: BenchmarkSettings) -> list[Benchmark]:
-    """Return benchmarks of the presets' steps, here and in the folder of an earlier commit."""
-    folders = {"now": ROOT}
-    if settings.before is not None:
-        folders = {"before": Path(settings.before), **folders}
-    cases = []
-    for preset in settings.presets:
-        for when, folder in folders.items():
-            words = list_words(preset) if when == "now" else [f"preset={preset}"]
-            clock, name = Clock(words, folder), NAMES.get(preset, preset)
-            case = Benchmark(
-                label=f"{preset}/{when}",
-                name=f"{name}, {clock.facts['width']} × {clock.facts['height']}",
-                scope=when,
-                advance=clock.time,
-                num_steps=NUM_STEPS,
-                facts=clock.facts,
-            )
-            cases.append(case)
-    return cases
+    """Return benchmarks of the steps of the presets."""
+    return [make_step(preset, make_task(preset)) for preset in settings.presets]
 
 
 def make_decisions(settings: BenchmarkSettings) -> list[Benchmark]:
     """Return benchmarks of a decision in all flows of each preset, in worker processes."""
     cases = []
     for preset in settings.presets:
-        task: Any = TRAINING.read(list_words(preset)).task
-        _, case = make_overhead(settings, task=task, flows=FLOWS)
+        _, case = make_overhead(settings, task=make_task(preset), flows=FLOWS)
         case.label = f"decision/{preset}"
-        case.name = f"{NAMES.get(preset, preset)}, {FLOWS.num_envs} flows"
+        case.name = f"{preset}, {FLOWS.num_envs} flows"
         case.facts["flows"] = FLOWS.num_envs
         cases.append(case)
     return cases

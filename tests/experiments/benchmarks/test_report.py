@@ -17,7 +17,7 @@ from experiments.benchmarks.measuring import (
     Benchmark,
     Results,
 )
-from experiments.benchmarks.plots import measure_bandwidth, write_plots
+from experiments.benchmarks.plots import write_plots
 from experiments.benchmarks.report import (
     compare_speeds,
     list_goals,
@@ -33,7 +33,7 @@ BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 
 def make_case(label: str, speeds: Sequence[float], *, scope: str = WALLS, **rest: Any) -> Benchmark:
     """Return a case with these MLUPS by round."""
-    fields = {"group": "solver", "num_nodes": NODES, "working_set": 36 * NODES}
+    fields = {"group": "solver", "num_nodes": NODES}
     measured = {"seconds": [NODES / speed / 1e6 for speed in speeds]} | rest.pop("measured", {})
     name = f"1 × 1000 × 1000, {label}"
     return Benchmark(label=label, name=name, scope=scope, measured=measured, **fields | rest)
@@ -46,7 +46,6 @@ def results() -> Results:
     fish: dict[str, Any] = {"group": "coupled", "scope": FISH, "measured": {"bytes": [44.0]}}
     cases = [
         make_case("probe/copy", [700, 710, 690], scope=PROBE, group="probe"),
-        make_case("probe/in place", [1400, 1390, 1410], scope=PROBE, group="probe"),
         make_case("large/walls", [1000, 1010, 990]),
         make_case("large/fish", [800, 810, 790], facts=swim, **fish),
         make_case("batch2/fish", [700] * 3, facts=swim | {"flows": 2}, **fish),
@@ -69,8 +68,6 @@ def test_ratios_compare_node_updates_of_the_same_round() -> None:
     small = make_case("small", [100, 100], num_nodes=10)
     assert measure_speed(small).median == pytest.approx(1e-3)
     assert compare_speeds(make_case("large", [100, 100]), small).median == pytest.approx(1e5)
-    # 9 populations of 4 bytes, each read and written once
-    assert measure_bandwidth(make_case("a", [1000, 1000])) == pytest.approx((72.0,) * 3)
 
 
 def test_goals_are_met_missed_or_left_out(results: Results) -> None:
@@ -92,7 +89,7 @@ def test_errors_of_grids_come_from_stored_validation() -> None:
 
 def test_figures_show_available_results(results: Results, tmp_path: Path) -> None:
     files = write_plots(results, tmp_path / "figures")
-    assert [file.name for file in files] == ["roofline.png", "scaling.png"]
+    assert [file.name for file in files] == ["scaling.png"]
     results.cases = []
     assert write_plots(results, tmp_path) == {}
     assert "###" not in render_results(results)
@@ -101,11 +98,11 @@ def test_figures_show_available_results(results: Results, tmp_path: Path) -> Non
 def test_page_changes_only_between_marks(results: Results, tmp_path: Path) -> None:
     page = tmp_path / "performance.md"
     page.write_text(f"before\n\n{BEGIN}\nlast year\n{END}\n\nafter\n")
-    figures = {tmp_path / "figures" / "roofline.png": "Bandwidth"}
+    figures = {tmp_path / "figures" / "scaling.png": "Speed"}
     for _ in range(2):  # the second time replaces the first
         write_pages(results, figures, tmp_path)
         text = page.read_text()
         assert text.startswith(f"before\n\n{BEGIN}\na machine, 2 cores")
-        assert text.endswith(f"![Bandwidth](figures/roofline.png)\n{END}\n\nafter\n")
+        assert text.endswith(f"![Speed](figures/scaling.png)\n{END}\n\nafter\n")
         assert "last year" not in text
         assert "| 1 × 1000 × 1000, gpu/fish | with fish | 7000 " in text
