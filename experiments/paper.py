@@ -131,7 +131,7 @@ def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> No
     view.main.run(view.main.read(words))
 
 
-def write_page(folder: Path, stages: Mapping[str, Mapping[str, Any]], scale: Any) -> Path:
+def write_page(folder: Path, stages: Mapping[str, Any], scale: Any) -> Path:
     """Write ``reproduction.md`` and ``reproduction.html`` with figures into the folder.
 
     Args:
@@ -139,7 +139,7 @@ def write_page(folder: Path, stages: Mapping[str, Mapping[str, Any]], scale: Any
         stages: from ``stages.json``.
         scale: settings of all programs.
     """
-    runs = {arm: find_runs(stages[arm]["words"][2:]) for arm in ("predation", *ARMS)}
+    runs = {arm: find_runs(stages[arm].words[2:]) for arm in ("predation", *ARMS)}
     draw(folder, runs, folder / "figures")
     transfer, fitted = read(folder / "transfer" / "transfer.json"), find_fitted(folder)
     assert fitted is not None  # its stage is finished
@@ -147,10 +147,10 @@ def write_page(folder: Path, stages: Mapping[str, Mapping[str, Any]], scale: Any
     captures = [time for time in times if time is not None]  # None without a capture
     machines = {
         f"{m['gpu'] or m['cpu']}, {m['cores']} cores, torch {m['torch']}"
-        for m in (stage["machine"] for stage in stages.values())
+        for m in (stage.machine for stage in stages.values())
     }
-    hours = {name: stage["seconds"] / 3600 for name, stage in stages.items()}
-    spent = [[name, stages[name]["words"][0], f"{hours[name]:.2f}"] for name in stages]
+    hours = {name: stage.seconds / 3600 for name, stage in stages.items()}
+    spent = [[name, stages[name].words[0], f"{hours[name]:.2f}"] for name in stages]
     shown = {name: figure["caption"] for name, figure in read_paper()["figures"].items()}
     parts = [
         f"# Reproduction, {scale.name}",

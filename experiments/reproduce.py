@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
@@ -141,20 +141,13 @@ def list_stages(scale: Scale, folder: Path) -> Iterator[Stage]:
     )
 
 
-class _Machine(Stored):
-    cpu: str
-    cores: int
-    gpu: str | None
-    torch: str
-
-
-class _Entry(Stored):
-    """Entry of a stage in ``stages.json``."""
+class Entry(Stored):
+    """A stage that has run, in ``stages.json``."""
 
     words: Annotated[list[str], Field(min_length=1)]
     seconds: NonNegativeFloat
     is_finished: bool
-    machine: _Machine
+    machine: dict[str, str | int | None]  #: cpu, cores, gpu and torch
 
 
 class Record:
@@ -162,30 +155,28 @@ class Record:
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / "stages.json"
-        self.stages: dict[str, dict[str, Any]] = {}
+        self.stages: dict[str, Entry] = {}
         if self.path.is_file():
-            stored = read_plain(self.path, dict[str, _Entry], what="the record of a reproduction")
-            self.stages = {name: entry.model_dump() for name, entry in stored.items()}
+            what = "the record of a reproduction"
+            self.stages = read_plain(self.path, dict[str, Entry], what=what)
 
     def is_finished(self, stage: Stage) -> bool:
         """Return whether a stage is finished with these settings and its runs exist."""
         entry = self.stages.get(stage.name)
-        if entry is None or not entry["is_finished"] or entry["words"] != list(stage.words):
+        if entry is None or not entry.is_finished or entry.words != list(stage.words):
             return False
         runs = find_runs(stage.words[2:]) if stage.num_runs else []
         return sum(read_run(run).status == "finished" for run in runs) == stage.num_runs
 
     def note(self, stage: Stage, *, seconds: float, is_finished: bool) -> None:
         """Add to the time that a stage has taken."""
-        entry = self.stages.get(stage.name, {})
-        spent = entry.get("seconds", 0.0) if entry.get("words") == list(stage.words) else 0.0
-        machine = describe_machine()
-        self.stages[stage.name] = {
-            "words": list(stage.words),
-            "seconds": spent + seconds,
-            "is_finished": is_finished,
-            "machine": {name: machine[name] for name in ("cpu", "cores", "gpu", "torch")},
-        }
+        entry, words, machine = self.stages.get(stage.name), list(stage.words), describe_machine()
+        if entry is not None and entry.words == words:
+            seconds += entry.seconds
+        named = {name: machine[name] for name in ("cpu", "cores", "gpu", "torch")}
+        self.stages[stage.name] = Entry(
+            words=words, seconds=seconds, is_finished=is_finished, machine=named
+        )
         write_json(self.path, self.stages)
 
 

@@ -25,7 +25,7 @@ from fishrl.settings import Settings, unknown
 # in the order of the report
 NAMES = (
     *("taylor_green", "poiseuille", "cavity", "invariance", "slip", "channel_cylinder"),
-    *("free_cylinder", "d_cylinder", "edges", "outflow", "oscillating_cylinder"),
+    *("free_cylinder", "d_cylinder", "edges", "oscillating_cylinder"),
     *("conservation", "rotating_cylinder", "settling_disc", "sheared_ellipse", "swimmer"),
     *("sharp_swimmer", "levels", "energy_budget"),
     *("gaits", "turning", "pitching_pair", "c_start", "compressibility", "stability"),

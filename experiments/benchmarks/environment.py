@@ -5,8 +5,6 @@ An action lasts one tail beat, and no episode ends during a burst. ``options`` a
 """
 
 import time
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import torch
@@ -40,7 +38,7 @@ def make_action(base: Any, label: str, what: str, advance: Any, **options: Any) 
 def make_overhead(
     settings: BenchmarkSettings, *, task: Any = None, flows: Flows = FLOWS
 ) -> list[Benchmark]:
-    """Return benchmarks of an action, which measure its share of time outside the flow."""
+    """Return the benchmark of an action, which measures its share of time outside the flow."""
     task = task or make_task(settings)
     middle = task.starts_from(torch.full((1, task.num_draws), 0.5, dtype=torch.float64))
     env = make_env(task=task, flows=flows, seed=0, starts=middle)
@@ -51,36 +49,26 @@ def make_overhead(
     )
     base: Any = env.base_env
     advance_, spent, state = base.solver.advance_, [0.0], [env.reset()]  # seconds in the flow
-    keep_heading = torch.ones(base.batch_size, dtype=torch.int64)
 
     def prepare() -> None:
         """Begin new episodes."""
         state[0] = env.reset()
-
-    def act() -> None:
-        """Step the environment with an action of the policy, as a collector does."""
-        with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
-            _, state[0] = env.step_and_maybe_reset(policy(state[0]))
-
-    def step() -> None:
-        base.step(state[0].clone().set("action", keep_heading))
 
     def time_flow(*arguments: Any, **keywords: Any) -> None:
         start = time.perf_counter()
         advance_(*arguments, **keywords)
         spent[0] += time.perf_counter() - start
 
-    def run_env(num_actions: int, *, act: Callable[[], object]) -> dict[str, float]:
+    def act(num_actions: int) -> dict[str, float]:
+        """Step the environment with an action of the policy, as a collector does."""
         spent[0], start = 0.0, time.perf_counter()
-        act()
+        with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+            _, state[0] = env.step_and_maybe_reset(policy(state[0]))
         return {"outside_flow": 1.0 - spent[0] / (time.perf_counter() - start)}
 
     base.solver.advance_ = time_flow
-    make = partial(make_action, base, prepare=prepare)
-    return [
-        make("env/env", "environment", partial(run_env, act=step)),
-        make("env/policy", "environment, transforms and policy", partial(run_env, act=act)),
-    ]
+    what = "environment, transforms and policy"
+    return [make_action(base, "env/policy", what, act, prepare=prepare)]
 
 
 def make_training(

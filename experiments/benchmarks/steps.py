@@ -74,7 +74,7 @@ def make_decisions(settings: BenchmarkSettings) -> list[Benchmark]:
     """Return benchmarks of a decision in all flows of each preset, in worker processes."""
     cases = []
     for preset in settings.presets:
-        _, case = make_overhead(settings, task=make_task(preset), flows=FLOWS)
+        (case,) = make_overhead(settings, task=make_task(preset), flows=FLOWS)
         case.label = f"decision/{preset}"
         case.name = f"{preset}, {FLOWS.num_envs} flows"
         case.facts["flows"] = FLOWS.num_envs

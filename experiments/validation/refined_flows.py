@@ -53,7 +53,6 @@ def start_fish(
     motion: str = "free",
     edges: str = "walls",
     stream: float = 0.0,
-    patch_bl: float | None = None,
     shared: Sequence[Sequence[float]] | None = None,
 ) -> tuple[InPlaceSolver, Scales]:
     """Return fish at rest in the water of a domain of 10 L x 5 L, and their scales.
@@ -67,7 +66,6 @@ def start_fish(
         motion: of all fish, by its name in ``MOTIONS``.
         edges: by their name in ``EDGES``.
         stream: speed of the water and of the edges that move, nodes per step.
-        patch_bl: side of the patch around a fish, L, by default that of ``Patch``.
         shared: corners, L, of one patch that stays and holds all fish.
     """
     unit = max(8, 2**levels)
@@ -83,8 +81,6 @@ def start_fish(
     )
     corners = [(x * body_length, y * body_length) for x, y in shared or ()]
     patches = (Patch.between(*corners),) if corners else ()
-    if patch_bl is not None:
-        patches = (Patch(size=(patch_bl * body_length, patch_bl * body_length)),)
     config = replace(config, levels=levels, patches=patches if levels > 1 else ())
     solver = InPlaceSolver(config=config, num_envs=1, frequency=1.0 / scales.period, num_workers=0)
     rows = torch.ones(1, dtype=torch.bool)

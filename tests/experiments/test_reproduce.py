@@ -75,6 +75,6 @@ def test_finished_stage_is_repeated_only_if_settings_change(tmp_path: Path) -> N
         with pytest.raises(ValueError, match="status 1"):
             run_stage(failing, Record(tmp_path), lock)
     record = Record(tmp_path)
-    assert record.is_finished(stage) and record.stages["summary"]["seconds"] > 0
+    assert record.is_finished(stage) and record.stages["summary"].seconds > 0
     assert not record.is_finished(replace(stage, words=(*stage.words, "elsewhere")))
     assert not record.is_finished(failing)
