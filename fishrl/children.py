@@ -8,12 +8,12 @@ import sys
 import threading
 from pathlib import Path
 from typing import Any
-from weakref import WeakSet
+
+from fishrl.forks import leave_to_parent
 
 #: Whether this system has process groups; Windows has none.
 CAN_START = hasattr(os, "killpg")
 _PARENT_CHECK_MS = 1000
-_children: "WeakSet[subprocess.Popen[bytes]]" = WeakSet()
 
 
 def start_child(code: str, *arguments: str, **options: Any) -> subprocess.Popen[bytes]:
@@ -34,22 +34,10 @@ def start_child(code: str, *arguments: str, **options: Any) -> subprocess.Popen[
     code = f"{start}; import fishrl.children; fishrl.children.end_with_pipe({os.getpid()}); {code}"
     command = [sys.executable, "-c", code, *arguments]
     child = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True, **options)
-    _children.add(child)
+    for pipe in (child.stdin, child.stdout):
+        if pipe is not None:
+            leave_to_parent(pipe)
     return child
-
-
-def _let_go() -> None:
-    """Replace the pipes to children by nothing, in a process that was forked from this one."""
-    nothing = os.open(os.devnull, os.O_RDWR)
-    for child in _children:
-        for pipe in (child.stdin, child.stdout):
-            if pipe is not None and not pipe.closed:
-                os.dup2(nothing, pipe.fileno(), inheritable=False)
-    os.close(nothing)
-
-
-if hasattr(os, "register_at_fork"):  # not on Windows
-    os.register_at_fork(after_in_child=_let_go)
 
 
 def make_environment() -> dict[str, str]:

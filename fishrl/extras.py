@@ -1,5 +1,7 @@
 """Optional packages: the command that installs those of an extra."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, requires
 
 from packaging.requirements import Requirement
@@ -21,3 +23,12 @@ def show_install(extra: str) -> str:
         if one.name != "fishrl" and one.marker and one.marker.evaluate({"extra": extra})
     ]
     return " ".join(("pip install", *needed))
+
+
+@contextmanager
+def needing(extra: str, what: str) -> Iterator[None]:
+    """Raise ImportError with the command that installs an extra if an import inside fails."""
+    try:
+        yield
+    except ImportError as error:
+        raise ImportError(f"{what} needs packages: {show_install(extra)}") from error

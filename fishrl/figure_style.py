@@ -2,6 +2,8 @@
 
 from typing import Any
 
+#: Okabe and Ito: distinguishable for the colour-blind too.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7f3fbf", "#555555")
 #: Settings of matplotlib for all figures.
 STYLE: Any = {
     "font.size": 10,

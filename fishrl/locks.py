@@ -1,9 +1,9 @@
 """Locks of files, which end with the process that holds them."""
 
 import logging
-import os
 from typing import IO, Any
-from weakref import WeakSet
+
+from fishrl.forks import leave_to_parent
 
 try:
     import fcntl
@@ -11,7 +11,6 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 logger = logging.getLogger(__name__)
-_taken: WeakSet[IO[Any]] = WeakSet()
 
 
 def take_lock(file: IO[Any], *, waits: bool = False) -> bool:
@@ -39,18 +38,5 @@ def take_lock(file: IO[Any], *, waits: bool = False) -> bool:
             fcntl.flock(file, how)
     except OSError as error:
         logger.info("%s cannot be locked (%s): start nothing twice", file.name, error)
-    _taken.add(file)
+    leave_to_parent(file)
     return True
-
-
-def _let_go() -> None:
-    """Leave the locks to the process that this one was forked from."""
-    nothing = os.open(os.devnull, os.O_RDWR)
-    for file in _taken:
-        if not file.closed:
-            os.dup2(nothing, file.fileno(), inheritable=False)
-    os.close(nothing)
-
-
-if hasattr(os, "register_at_fork"):  # not on Windows
-    os.register_at_fork(after_in_child=_let_go)

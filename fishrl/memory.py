@@ -1,29 +1,8 @@
-"""Comparison of the memory of flows, buffers and networks with that of the machine."""
-
-from collections.abc import Callable
-from typing import Any
+"""Comparison of the memory of flows and buffers with that of the machine."""
 
 import torch
-from torch import Tensor
-from torch.overrides import TorchFunctionMode
 
 from fishrl.limits import measure_machine_memory
-
-
-class Weightless(TorchFunctionMode):
-    """Context in which modules have weights on device "meta", which take no memory.
-
-    Conditions on tensors are true: TorchRL tests whether the weight of a critic is positive.
-    """
-
-    def __torch_function__(
-        self, func: Callable[..., Any], types: Any, args: Any = (), kwargs: Any = None
-    ) -> Any:
-        """Call a function of torch."""
-        if func is Tensor.__bool__:
-            return True
-        device = {"device": "meta"} if func is torch.empty else {}
-        return func(*args, **(kwargs or {}) | device)
 
 
 def check_memory(*, device: torch.device | str = "cpu", **needed: float) -> None:

@@ -26,7 +26,8 @@ DRAWING = {"rerun", "matplotlib", "PIL", "imageio_ffmpeg", "xarray", "pyvista"}
 WRAPPED = {"torchrl", "gymnasium", "pettingzoo", "stable_baselines3", "minari"}
 # The first matching prefix applies to a file; "a.b" allows "a.b" and "a.b.c".
 LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
-    (tuple(f"fishrl/{name}.py" for name in ("__init__", "children", "limits", "locks")), set()),
+    (tuple(f"fishrl/{name}.py" for name in ("__init__", "forks", "limits")), set()),
+    (("fishrl/children.py", "fishrl/locks.py"), {"fishrl.forks"}),
     ("fishrl/figure_style.py", set()),
     ("fishrl/settings/", {"numpy", "pydantic", "pydantic_core", "fishrl.settings"}),
     ("fishrl/pages.py", {"fishrl.files"}),

@@ -72,7 +72,7 @@ def test_versions_of_wheel_citation_and_changelog_agree(installed: Path) -> None
 def test_extras_named_by_errors_exist(installed: Path) -> None:
     files = [path for name in ("fishrl", "experiments") for path in (ROOT / name).rglob("*.py")]
     text = "".join(path.read_text(encoding="utf-8") for path in files)
-    named = set(re.findall(r"""show_install\(["']([\w-]+)""", text))
+    named = set(re.findall(r"""(?:show_install|needing)\(["']([\w-]+)""", text))
     assert len(named) > 3 and named <= set(_read_metadata(installed).get_all("Provides-Extra"))
 
 

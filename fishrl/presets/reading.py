@@ -102,7 +102,8 @@ def merge(node: Node, other: Mapping[str, Any], *, replaces: bool = False) -> No
     for name, value in other.items():
         is_nested = isinstance(value, Mapping) and isinstance(node.get(name), dict)
         is_whole = replaces and is_nested and TARGET in value
-        node[name] = merge(node[name], value) if is_nested and not is_whole else value
+        merges = is_nested and not is_whole
+        node[name] = merge(node[name], value, replaces=replaces) if merges else value
     return node
 
 

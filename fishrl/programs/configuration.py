@@ -30,7 +30,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from fishrl.presets import GROUPS, find_replacement, list_names, read_file
+from fishrl.presets import GROUPS, find_replacement, list_names, merge, read_file
 from fishrl.settings import REQUIRED, TARGET, build, list_fields, to_plain, unknown
 
 CONF = Path(__file__).parent / "conf"
@@ -128,7 +128,10 @@ class CommandLine:
         if self.stored is not None:
             node |= self.stored(given)
             for key in given.keys() - {*self.groups, "modules"}:
-                _update(node, key.split("."), given[key])
+                nested = given[key]
+                for name in reversed(key.split(".")):
+                    nested = {name: nested}
+                merge(node, nested, replaces=True)
         modules = {*named, *(module for module in list_modules(node) if module in trusted)}
         outside = {module for module in modules if module.split(".")[0] != "fishrl"}
         return node, sorted(outside)
@@ -291,16 +294,3 @@ def _select(node: Any, key: str) -> Any:
     for name in key.split("."):
         node = node.get(name) if isinstance(node, Mapping) else None
     return node
-
-
-def _update(node: Node, path: Sequence[str], value: Any) -> None:
-    """Set the value of a dotted key; a mapping without ``_target_`` changes what is there."""
-    name, *rest = path
-    if rest:
-        below = node[name] = node[name] if isinstance(node.get(name), dict) else {}
-        _update(below, rest, value)
-    elif isinstance(value, dict) and TARGET not in value and isinstance(node.get(name), dict):
-        for key, entry in value.items():
-            _update(node[name], [key], entry)
-    else:
-        node[name] = value

@@ -27,6 +27,7 @@ from fishrl.envs import AbstractTask, FlowEnv
 from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.extras import show_install
 from fishrl.files import claim_file
+from fishrl.pages import write_csv
 from fishrl.programs.export_policy import read_revision
 from fishrl.programs.program import ending_in
 from fishrl.programs.stored_task import policy_program
@@ -36,7 +37,7 @@ from fishrl.training.evaluation import fixed_starts
 from fishrl.training.policies import prepare
 from fishrl.training.progress import Progress
 from fishrl.viewer.fields import WRITERS, make_dataset, read_fields, write_netcdf
-from fishrl.viewer.signals import make_table, read_signals, write_table
+from fishrl.viewer.signals import make_table, read_signals
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -62,7 +63,7 @@ def record(
     """Run one episode and return the series ``[F, ...]`` of what is read, and the task.
 
     Args:
-        read: returns values ``[B, ...]`` by name.
+        read: returns values ``[B, ...]`` by name, the time first.
         periods: T after which the episode is cut; None runs it to its end.
         frames_per_T: frames per period, approximately.
         callback: called as it advances.
@@ -94,7 +95,10 @@ def record(
             on_step=end,
             on_frame=lambda start_of, flows: read(flows) if next(is_due) else {},
         )
-    return episodes.traces.of(0), task
+    series = episodes.traces.of(0)
+    times = next(iter(series.values()))  # an end may have been read at a check, too
+    is_new = times.diff(prepend=times[:1] - 1.0) > 0.0
+    return {name: values[is_new] for name, values in series.items()}, task
 
 
 def simulate(**given: Any) -> "xr.Dataset":
@@ -155,7 +159,8 @@ def main(
         if signals or path.suffix == TABLE:
             columns, task = record(read_signals, callback=progress, **given)
             if path.suffix == TABLE:
-                write_table(columns, path)
+                rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+                write_csv(path, [*columns], ([f"{x:.6g}" for x in row] for row in rows))
             else:
                 about = describe_episode(task, policy=given["policy"], seed=given["seed"])
                 write_netcdf(make_table(columns, about=about), path)

@@ -39,12 +39,7 @@ class LiveView(Callback):
         if not settings.live:
             return
         self._base: FlowEnv = env.base_env
-        scene = make_env_scene(
-            env,
-            field=settings.field,
-            field_limit=settings.field_limit,
-            shows_levels=settings.shows_levels,
-        )
+        scene = make_env_scene(env, settings)
         self._recorder = Recorder(
             self._base, scene, frames_per_T=settings.frames_per_T, give=self._draw
         )

@@ -1,7 +1,6 @@
 """Programs that run a policy, by default in the task of the policy's run."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from fishrl.programs.configuration import Node
@@ -64,5 +63,4 @@ def read_typical(given: Node) -> Node:
 
 def read_result(policy: str) -> dict[str, Any]:
     """Return the result of the final evaluation of a learned policy; empty where none is stored."""
-    path = find_folder(policy) / "summary.json" if is_learned(policy) else Path()
-    return read_summary(path) if path.is_file() else {}
+    return read_summary(find_folder(policy) / "summary.json") if is_learned(policy) else {}

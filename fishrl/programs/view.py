@@ -73,13 +73,7 @@ def record(
         task, seed = env.base_env.task, given["seed"]
         starts = fixed_starts(task, episodes, seed=seed)
         max_decisions = min(task.time_limit, count_decisions(task, periods))
-        scene = make_env_scene(
-            env,
-            field=view.field,
-            field_limit=view.field_limit,
-            policy="/".join(Path(given["policy"]).parts[-2:]),
-            shows_levels=view.shows_levels,
-        )
+        scene = make_env_scene(env, view, policy="/".join(Path(given["policy"]).parts[-2:]))
         film, drawing = Recording(scene=replace(scene, zoom=zoom)), None
         if save.suffix not in DRAWN:
             drawing = start_drawing(

@@ -48,7 +48,6 @@ class ClusterCollector:
         explorer: the policy that collects.
         settings: numbers of processes, of flows and of warm-up frames of all of them together.
         seed: seed of the first collector.
-        device: device of the explorer. With ``cuda`` each collector has its own GPU.
 
     Raises:
         ValueError: if the cluster has fewer CPUs, or GPUs, than there are collectors.

@@ -77,7 +77,7 @@ def _export(source: RunFolder, folder: Path, *, title: str | None, revision: str
     save_checkpoint(folder, {"actor": actor}, spec=spec, frames=best.frames, config=config)
     if plan.recognition is not None:
         plan.recognition.keep(folder)
-    summary = read_summary(source.summary) if source.summary.is_file() else {}
+    summary = read_summary(source.summary)
     if summary:
         write_json(folder / source.summary.name, summary)
     if source.metrics.is_file() and (rows := read_rows(source.metrics)):

@@ -93,7 +93,7 @@ class Opened:
             _ = self.checkpoint.files
 
     def count_bytes(self) -> dict[str, dict[str, float]]:
-        """Return by device what will be in its memory at once, and how much, bytes."""
+        """Return by device what will fill its memory at once, and how much, bytes."""
         plan, spec, config = self.plan, self.spec, self.task.flow_config()
         transition = 2 * (spec.num_inputs + spec.num_critic_inputs + spec.num_actions)
         # the eager step of the flows that advance together has some forty-five temporary fields
@@ -103,12 +103,9 @@ class Opened:
         needed[plan.flows.device]["flows and their copy at evaluations and checkpoints"] = (
             copies * config.num_bytes
         )
-        needed[plan.policy_device] |= {
-            "networks": plan.algorithm.count_bytes(
-                spec, has_average=bool(plan.actor_average) or plan.scale_inputs
-            ),
-            "buffer": 4 * transition * plan.buffer_size * self.task.num_fish,
-        }
+        needed[plan.policy_device]["buffer"] = (
+            4 * transition * plan.buffer_size * self.task.num_fish
+        )
         return needed
 
     def enter(self) -> "Opened":
@@ -157,7 +154,7 @@ def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
         stored = Plan.from_config(config)
         plan = stored.change(**changes)
     opened = Opened(plan=plan, folder=folder, stored=config)
-    result = read_summary(folder.summary) if folder.summary.is_file() else {}
+    result = read_summary(folder.summary)
     has_result = plan.total_frames <= result.get("frames", 0)
     has_result &= _evaluates_alike(plan, stored, Plan)
     is_cut_off = folder.ending.is_file() or folder.failure.is_file()

@@ -101,18 +101,3 @@ def name_content(file: Path) -> str:
     if not file.is_file():
         return f"{file}, which is missing"
     return f"classifier {sha256(file.read_bytes()).hexdigest()[:8]}"
-
-
-def locate(config: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return stored settings of a run with the path of its classifier, wherever the run lies now.
-
-    Args:
-        config: as ``Plan.to_config`` returns them.
-        folder: of the run, or of one of its checkpoints.
-    """
-    named = config.get("recognition")
-    if not isinstance(named, Mapping) or named.get("path") != FILE:
-        return dict(config)
-    places = [place / FILE for place in (folder, *folder.resolve().parents[:2])]
-    file = next((path for path in places if path.is_file()), places[0])
-    return {**config, "recognition": {**named, "path": str(file)}}

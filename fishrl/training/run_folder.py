@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, Valid
 from fishrl.files import write_whole
 from fishrl.locks import take_lock
 from fishrl.training.interruption import Interrupted
-from fishrl.training.recognition import locate
+from fishrl.training.recognition import FILE
 
 #: Mapping of plain data: numbers, words, lists and mappings of them.
 Tree = dict[str, JsonValue]
@@ -179,16 +179,19 @@ def complete_settings(config: Mapping[str, Any], folder: Path) -> dict[str, Any]
         config: as ``Plan.to_config`` returns them.
         folder: of the run, or of one of its checkpoints.
     """
-    task = config.get("task")
+    whole, task, named = dict(config), config.get("task"), config.get("recognition")
     if isinstance(task, Mapping):
-        config = {**config, "task": {"levels": 1, **task}}
-    return locate(config, folder)
+        whole["task"] = {"levels": 1, **task}
+    if isinstance(named, Mapping) and named.get("path") == FILE:
+        places = [place / FILE for place in (folder, *folder.resolve().parents[:2])]
+        file = next((path for path in places if path.is_file()), places[0])
+        whole["recognition"] = {**named, "path": str(file)}
+    return whole
 
 
 def read_summary(path: Path) -> dict[str, Any]:
-    """Read the ``summary.json`` of a run; raise ValueError if it is damaged."""
-    summary: dict[str, Any] = read_plain(path, Tree, what="the summary of a run")
-    return summary
+    """Read the ``summary.json`` of a run, {} without one; raise ValueError if it is damaged."""
+    return read_plain(path, Tree, what="the summary of a run") if path.is_file() else {}
 
 
 def write_json(path: Path, values: Mapping[str, Any] | Sequence[Any]) -> None:

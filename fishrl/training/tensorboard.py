@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fishrl.extras import show_install
+from fishrl.extras import needing
 from fishrl.training.logger import CsvLogger
 
 
@@ -17,12 +17,8 @@ class TensorboardLogger(CsvLogger):
     _writer: Any = None
 
     def _begin(self, folder: Path, *, config: Mapping[str, Any], step: int) -> None:
-        try:
+        with needing("tensorboard", "logger=tensorboard"):
             from torch.utils.tensorboard import SummaryWriter
-        except ImportError as error:
-            raise ImportError(
-                f"logger=tensorboard needs a package: {show_install('tensorboard')}; or logger=csv"
-            ) from error
         # later steps of earlier files are hidden
         self._writer = SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
 

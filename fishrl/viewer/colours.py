@@ -6,13 +6,12 @@ import numpy as np
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
+from fishrl.figure_style import COLOURS
+
 #: Colour maps of matplotlib: blue-white-red, purple-white-green and white-blue.
 RED_BLUE, PURPLE_GREEN, WHITE_BLUE = "RdBu_r", "PRGn", "Blues"
-#: Colours of lines in plots, mostly of Okabe and Ito: distinguishable for colour-blind readers.
-LINES = (
-    (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (230, 159, 0),
-    (127, 63, 191), (110, 110, 110),
-)  # fmt: skip
+#: Colours of lines in plots, 0 to 255.
+LINES = tuple(tuple(bytes.fromhex(colour[1:])) for colour in COLOURS)
 
 _NICE_STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0)
 

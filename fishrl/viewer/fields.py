@@ -67,8 +67,7 @@ def make_dataset(
     """Return a time series of ``read_fields`` of one flow as a data set.
 
     Args:
-        series: values ``[F, ...]`` by name, in order of time, such as ``Traces.of(0)``; repeated
-            times are dropped.
+        series: values ``[F, ...]`` by name, in order of time, such as ``Traces.of(0)``.
         body_length: L in nodes.
         about: further attributes of the data set.
 
@@ -77,8 +76,7 @@ def make_dataset(
     """
     import xarray as xr
 
-    is_new = np.diff(series["time"].numpy(), prepend=-np.inf) > 0.0
-    values = {name: value.numpy()[is_new] for name, value in series.items()}
+    values = {name: value.numpy() for name, value in series.items()}
     _, height, width = values["u"].shape
     axes = {
         "time": ("time", values.pop("time"), describe_unit("time", "T")),

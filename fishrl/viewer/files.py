@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from fishrl.children import make_environment
 from fishrl.envs.scene import Scene
@@ -44,13 +44,11 @@ def start_drawing(
         field_format: see ``ViewerSettings``.
 
     Raises:
-        ValueError: if the format is unknown, or neither file nor viewer is given.
+        ValueError: if neither file nor viewer is given.
         OSError: if the file cannot be written.
     """
     import rerun as rr
 
-    if field_format not in get_args(FieldFormat):
-        raise ValueError(f"field_format = {field_format!r}: must be jpeg or u8")
     if save is None and url is None:
         raise ValueError("neither save nor url is given: give one of them")
     is_live, sinks, name = url is not None, list[Any](), "live"

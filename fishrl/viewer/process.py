@@ -81,24 +81,24 @@ class Viewer:
 class Server(Viewer):
     """Server that passes a stream to windows and, at ``page``, browsers on this machine.
 
-    It keeps the newest 512 MB of frames for viewers that join later. Closing a window does not end
-    the server, and an open window keeps its frames after the server has ended.
+    It opens a window if there is a screen. It keeps the newest 512 MB of frames for viewers that
+    join later. Closing a window does not end the server, and an open window keeps its frames after
+    the server has ended.
 
     Args:
         port: port of the stream; the next free one if it is taken.
-        opens_window: open a window; by default if there is a screen.
 
     Raises:
         ValueError: if no port is free, or rerun does not start.
     """
 
-    def __init__(self, *, port: int = 9876, opens_window: bool | None = None) -> None:
+    def __init__(self, *, port: int = 9876) -> None:
         port = find_port(port)
         web_port = find_port(port + 1)
         options = ("--serve-web", "--web-viewer-port", str(web_port))
         super().__init__(*options, "--server-memory-limit", "512MB", port=port)
         self.page = f"http://{HOST}:{web_port}?url={quote(self.url, safe='')}"
-        if has_screen() if opens_window is None else opens_window:
+        if has_screen():
             open_window("--bind", HOST, "--port", "auto", "--connect", self.url)
         words = "live on this machine: a window by `python -m rerun --connect %s`, a browser by %s"
         logger.info(words, self.url, self.page)

@@ -20,29 +20,20 @@ from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.scene import Choice, Ending, Frame, Panel, Scene
 from fishrl.envs.task import AbstractTask
 from fishrl.torch_state import one_thread
+from fishrl.viewer.settings import ViewerSettings
 
 
 def make_env_scene(
-    env: TransformedEnv,
-    *,
-    field: str = "vorticity",
-    field_limit: float | None = None,
-    policy: str = "",
-    shows_levels: bool = False,
+    env: TransformedEnv, view: ViewerSettings = ViewerSettings(), *, policy: str = ""
 ) -> Scene:
     """Return the scene of a task, without plots of entries that its environment does not output.
 
     Args:
         env: an environment of ``make_env``.
-        field: the field that is drawn.
-        field_limit: value at which its colours saturate; by default the limit of the field.
+        view: the field that is drawn, the limit of its colours, and whether levels are shown.
         policy: name of the policy for the title.
-        shows_levels: draw where finer grids are; see ``ViewerSettings``.
-
-    Raises:
-        ValueError: for an unknown field.
     """
-    scene: Scene = views.make_scene(env.base_env.task, shows_levels=shows_levels)
+    scene: Scene = views.make_scene(env.base_env.task, shows_levels=view.shows_levels)
     num_fish, terms = env.base_env.task.num_fish, name_terms(env)
     if len(terms) > 1:
         series = (views.plot_fish(term, term.removeprefix(TERM), num_fish) for term in terms)
@@ -63,7 +54,8 @@ def make_env_scene(
         or all(series.key in outputs for series in panel.series)
     )
     title = scene.title + f" · policy: {policy}" * bool(policy)
-    return replace(scene, title=title, panels=panels).choose_field(field, limit=field_limit)
+    scene = replace(scene, title=title, panels=panels)
+    return scene.choose_field(view.field, limit=view.field_limit)
 
 
 def name_flows(

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from fishrl.envs import FlowEnv
 from fishrl.envs.extensions import HasFlowLabels, HasHistory, HasScene, find_extension
 from fishrl.envs.views import name_neuromasts
-from fishrl.files import write_whole
 from fishrl.viewer.fields import CONVENTIONS, describe_unit
 
 if TYPE_CHECKING:
@@ -60,21 +55,8 @@ def read_signals(env: FlowEnv) -> dict[str, Tensor]:
     return row
 
 
-def write_table(columns: Mapping[str, Tensor], path: Path) -> None:
-    """Write columns ``[N]`` by name as CSV, one line per moment; repeated times are dropped."""
-    text = io.StringIO()
-    lines = csv.writer(text, lineterminator="\n")
-    lines.writerow(columns)
-    last = None
-    for row in zip(*(column.tolist() for column in columns.values()), strict=True):
-        if row[0] != last:
-            lines.writerow(f"{value:.6g}" for value in row)
-        last = row[0]
-    write_whole(path, text.getvalue())
-
-
 def make_table(columns: Mapping[str, Tensor], *, about: Mapping[str, str | float]) -> xr.Dataset:
-    """Return columns ``[N]`` of ``read_signals`` by name over ``time``, without repeated times.
+    """Return columns ``[N]`` of ``read_signals`` by name over ``time``.
 
     Args:
         columns: values by name, in order of time.
@@ -82,14 +64,13 @@ def make_table(columns: Mapping[str, Tensor], *, about: Mapping[str, str | float
     """
     import xarray as xr
 
-    is_new = np.diff(columns["time_T"].numpy(), prepend=-np.inf) > 0.0
     parts = {}
     for name, column in columns.items():
         words, unit = name.replace("_", " ").removesuffix(" bl"), name.rpartition("_")[2]
         notes = describe_unit(words, _UNITS.get(unit, "L/T"))
         if unit == "degrees":
             notes = {"units": "degree", "long_name": "heading, counter-clockwise from +x"}
-        parts[name] = ("time", column.numpy()[is_new], notes)
+        parts[name] = ("time", column.numpy(), notes)
     _, times, _ = parts.pop("time_T")
     axes = {"time": ("time", times, describe_unit("time", "T"))}
     return xr.Dataset(parts, coords=axes, attrs={**CONVENTIONS, **about})

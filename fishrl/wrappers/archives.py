@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 
-from fishrl.extras import show_install
+from fishrl.extras import needing
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,8 @@ def load_archive(path: Path) -> Archive:
     Raises:
         ValueError: for a file that is none, and for a recurrent policy.
     """
-    try:
+    with needing("stable-baselines3", str(path)):
         from stable_baselines3.common.save_util import load_from_zip_file
-    except ImportError as error:
-        raise ImportError(f"{path}: needs {show_install('stable-baselines3')}") from error
     data, params, _ = load_from_zip_file(path, device="cpu")
     if data is None or "policy_class" not in data or "policy" not in params:
         raise ValueError(f"{path}: no archive of Stable-Baselines3; model.save writes one")

@@ -16,18 +16,16 @@ from torch import Tensor
 from torchrl.envs import TransformedEnv
 
 from fishrl.envs.episodes import Policy, run_episodes
-from fishrl.extras import show_install
+from fishrl.extras import needing
 from fishrl.files import claim
 
-try:
+with needing("export", __name__):
     import minari
     from gymnasium.spaces import Box, Dict
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_dataset import parse_dataset_id
 
     from fishrl.wrappers.spaces import make_spaces
-except ImportError as error:
-    raise ImportError(f"fishrl.wrappers.minari needs packages: {show_install('export')}") from error
 
 
 def find_dataset(name: str, folder: str | Path) -> Path:

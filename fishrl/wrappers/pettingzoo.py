@@ -10,17 +10,13 @@ from torchrl.envs import TransformedEnv
 
 from fishrl.envs.agents import AGENTS
 from fishrl.envs.episodes import name_terms
-from fishrl.extras import show_install
+from fishrl.extras import needing
 from fishrl.wrappers.pictures import Array, Pictures
 
-try:
+with needing("pettingzoo", __name__):
     from pettingzoo import ParallelEnv
 
     from fishrl.wrappers.spaces import make_spaces
-except ImportError as error:
-    raise ImportError(
-        f"fishrl.wrappers.pettingzoo needs PettingZoo: {show_install('pettingzoo')}"
-    ) from error
 
 
 class FlowParallelEnv(ParallelEnv[str, Array, Any]):

@@ -1,13 +1,13 @@
 """Pictures of flows for ``render``."""
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
 from fishrl.envs.scene import Ending, Frame
-from fishrl.viewer import make_env_scene
+from fishrl.viewer import ViewerSettings, make_env_scene
 from fishrl.viewer.film import FramePainter
 from fishrl.viewer.recording import list_endings, list_reasons, read_values
 
@@ -28,7 +28,7 @@ class Pictures:
             raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array' or None")
         num = int(env.batch_size[0])
         self.flows = env.base_env
-        self.scene = make_env_scene(env, field=field)
+        self.scene = make_env_scene(env, ViewerSettings(field=cast("Any", field)))
         self.painters = [
             FramePainter(self.scene, dpi=100.0) for _ in range(num if render_mode else 0)
         ]

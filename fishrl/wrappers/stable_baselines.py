@@ -8,19 +8,13 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import ExplorationType, TransformedEnv, set_exploration_type
 
-from fishrl.extras import show_install
+from fishrl.extras import needing
 
-try:
+with needing("stable-baselines3", __name__):
     from stable_baselines3.common.vec_env import VecEnv
-except ImportError as error:
-    raise ImportError(
-        "fishrl.wrappers.stable_baselines needs Stable-Baselines3: "
-        + show_install("stable-baselines3")
-    ) from error
 
+from fishrl.wrappers.pictures import Array
 from fishrl.wrappers.vector import FlowVectorEnv
-
-Array = np.ndarray[Any, Any]
 
 
 class FlowVecEnv(VecEnv):

@@ -10,19 +10,15 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import step_mdp
 
 from fishrl.envs.flow_env import FlowEnv
-from fishrl.extras import show_install
+from fishrl.extras import needing
 from fishrl.wrappers.pictures import Array, Pictures
 
-try:
+with needing("gymnasium", "fishrl.wrappers.gymnasium"):
     from gymnasium.error import ResetNeeded
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 
     from fishrl.wrappers.spaces import make_spaces
-except ImportError as error:
-    raise ImportError(
-        f"fishrl.wrappers.gymnasium needs gymnasium: {show_install('gymnasium')}"
-    ) from error
 
 OBSERVED = ("observation", "observation_stack")
 

@@ -11,14 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from matplotlib.path import Path as Polygon
 from torchrl.data.datasets.minari_data import MinariExperienceReplay
 
 from fishrl.programs import export, export_data
 from fishrl.programs.export_policy import send
 from fishrl.viewer.fields import write_netcdf, write_vtk, write_zarr
-from fishrl.viewer.signals import write_table
 from fishrl.zoo import find_policy
 
 TINY = [
@@ -115,8 +113,6 @@ def test_table_has_a_line_per_moment_and_columns_of_each_neuromast(tmp_path: Pat
         assert read["heading_degrees"].attrs["units"] == "degree"
         assert read["left_2_pressure"].attrs["long_name"] == "left 2 pressure, in rho L2/T2"
         assert read.attrs["Conventions"] == "CF-1.11" and read.attrs["policy"] == "pid"
-    write_table({"time_T": torch.tensor([0.0, 0.5, 0.5])}, path)
-    assert path.read_text() == "time_T\n0\n0.5\n"
 
 
 def test_vtk_reads_the_flow_and_the_bodies(flow: Any, tmp_path: Path) -> None:

@@ -40,5 +40,5 @@ def test_run_with_event_files_is_read_without_the_package(
 ) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     logger = build(CsvLogger, describe(TensorboardLogger()))
-    with pytest.raises(ImportError, match="logger=tensorboard needs a package: pip install"):
+    with pytest.raises(ImportError, match="logger=tensorboard needs packages: pip install"):
         logger.open(tmp_path, columns=COLUMNS, config={})

@@ -43,7 +43,7 @@ def await_listeners(port: int, wanted: set[str]) -> None:
 
 
 def test_server_listens_locally_and_may_end_before_streams() -> None:
-    with closing(Server(port=29400, opens_window=False)) as server:
+    with closing(Server(port=29400)) as server:
         assert server.url == f"rerun+http://127.0.0.1:{server.port}/proxy"
         for port in (server.port, int(server.page.split("?")[0].rsplit(":", 1)[1])):
             await_listeners(port, {"0100007F"})  # 127.0.0.1, lowest byte first
@@ -57,11 +57,7 @@ def test_server_listens_locally_and_may_end_before_streams() -> None:
 
 
 def test_server_ends_with_a_killed_program() -> None:
-    code = (
-        "from fishrl.viewer import Server\n"
-        "print(Server(port=29450, opens_window=False).port, flush=True)\n"
-        "input()"
-    )
+    code = "from fishrl.viewer import Server\nprint(Server(port=29450).port, flush=True)\ninput()"
     pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen([sys.executable, "-c", code], **pipes) as program:
         assert program.stdout is not None

@@ -8,7 +8,13 @@ import torch
 
 from fishrl.envs import Flows, KarmanGait, Oracle, Predation, make_env, views
 from fishrl.envs.scene import Ending, Frame
-from fishrl.viewer import Recording, make_env_scene, name_flows, record_episodes
+from fishrl.viewer import (
+    Recording,
+    ViewerSettings,
+    make_env_scene,
+    name_flows,
+    record_episodes,
+)
 from fishrl.viewer.recording import Recorder
 from tests.envs.conftest import SMALL, keep_straight, starts_at
 
@@ -144,7 +150,7 @@ def test_gpu_flows_are_recorded_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> N
 def test_plots_of_missing_outputs_are_omitted(recognition: Oracle | None) -> None:
     task = KarmanGait(**{**SMALL, "wall_margin_bl": 0.25})
     env = make_env(task=task, flows=Flows(num_envs=1, compile=False), recognition=recognition)
-    scene = make_env_scene(env, field="pressure", field_limit=7.0)
+    scene = make_env_scene(env, ViewerSettings(field="pressure", field_limit=7.0))
     names = {panel.name for panel in scene.panels}
     assert ("class probabilities" in names) == (recognition is not None)
     assert any(name.startswith("reward") for name in names)

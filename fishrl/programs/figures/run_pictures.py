@@ -44,13 +44,7 @@ def record_run(
     ``on_episodes`` is called with the number of episodes that have just ended.
     """
     task = env.base_env.task
-    scene = make_env_scene(
-        env,
-        field=settings.field,
-        field_limit=settings.field_limit,
-        policy=folder.name,
-        shows_levels=settings.shows_levels,
-    )
+    scene = make_env_scene(env, settings, policy=folder.name)
     flows, max_decisions = list(range(min(_MAX_FLOWS, len(starts)))), None
     if scene.goal is None:
         starts, max_decisions = starts[flows], count_decisions(task, _MAX_PERIODS)

@@ -11,13 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, LogFormatterMathtext
 
-from fishrl.figure_style import STYLE
+from fishrl.figure_style import COLOURS, STYLE
 from fishrl.files import staged
 
 __all__ = ["COLOURS", "STYLE", "panels", "spell_decades", "tidy"]
-
-#: Okabe and Ito: distinguishable for the colour-blind too.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7f3fbf", "#555555")
 
 
 def spell_decades(axes: Axes) -> None:

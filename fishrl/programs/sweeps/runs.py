@@ -60,14 +60,9 @@ def read_runs(folder: Path) -> list[Run]:
 
 def read_run(path: Path) -> Run:
     """Read one run; raise ValueError if its files are damaged."""
-    folder = RunFolder(path)
-    summary: dict[str, Any] = {}
-    config: dict[str, Any] = {}
-    if folder.summary.is_file():
-        summary = read_summary(folder.summary)
-    if folder.config.is_file():
-        config = read_config(folder.config)
-    frames = count_frames(path)
+    folder, frames = RunFolder(path), count_frames(path)
+    summary = read_summary(folder.summary)
+    config = read_config(folder.config) if folder.config.is_file() else {}
     status, reason = "finished" if summary else "stopped", ""
     if is_held(path):
         status = "running"

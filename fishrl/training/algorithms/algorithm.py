@@ -12,7 +12,6 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.objectives import LossModule
 
 from fishrl.envs import AbstractTask
-from fishrl.memory import Weightless
 from fishrl.settings import Settings
 from fishrl.training.learner import Learner, Networks, OffPolicyLearner
 from fishrl.training.policy_spec import PolicySpec
@@ -85,18 +84,6 @@ class Algorithm(Settings, ABC):
     def make_explorer(self, policy: Any, spec: PolicySpec) -> TensorDictModuleBase:
         """Make the policy that collects, with the same weights; by default the policy itself."""
         return policy
-
-    def count_bytes(self, spec: PolicySpec, *, has_average: bool = False) -> int:
-        """Return the bytes of all networks, of the gradients and of Adam's two moments.
-
-        ``has_average`` adds the second actor of ``actor_average`` or ``scale_inputs``.
-        """
-        with Weightless():
-            policy = self.make_policy(spec)
-            average = list(policy.parameters()) * has_average
-            loss = self.make_loss(policy, spec, torch.Generator())
-        copies = [*average, *loss.buffers(), *4 * list(loss.parameters())]
-        return sum(tensor.nbytes for tensor in copies)
 
     def assemble(self, networks: Networks, settings: LearningSettings) -> Learner:
         """Return the learner of new networks; by default it replays past transitions.

@@ -7,8 +7,7 @@ from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
-from fishrl.training.policy_spec import PolicySpec
-from tests.training.conftest import QUICK, Toy
+from tests.training.conftest import Toy
 
 
 def test_algorithms_have_unique_labels() -> None:
@@ -51,32 +50,3 @@ def test_ppo_derives_the_settings_that_follow_from_its_rollout(toy: Toy) -> None
     learning = toy.begin(algorithm=PPO(rollout_length=8), batch_size=32).plan
     assert (learning.warmup_frames, learning.buffer_size) == (0, 64)
     assert learning.updates_per_frame == 10 / 32
-
-
-ALGORITHMS = (DiscreteSAC(), DQN(), DRQN(), SAC(), PPO(rollout_length=8))
-
-
-@pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda algorithm: type(algorithm).__name__)
-def test_estimated_memory_is_that_of_a_learner(toy: Toy, algorithm: Algorithm) -> None:
-    hidden = (150, 37)
-    task = {"is_continuous": isinstance(algorithm, SAC)}
-    training = toy.begin(algorithm=algorithm, hidden=hidden, task=task, actor_average=9, **QUICK)
-    learner = training.learner
-    for batch in training.collector:
-        learner.store(batch.reshape(-1))
-        if learner.is_ready:
-            break
-    learner.update()
-    training.close()
-    weights, targets = list(learner.loss.parameters()), learner.loss.buffers()
-    gradients = [weight.grad for weight in weights if weight.grad is not None]
-    moments = [moment for state in learner.optimiser.state.values() for moment in state.values()]
-    needed = sum(tensor.nbytes for tensor in (*weights, *targets, *gradients, *moments))
-    spec, average = training.opened.spec, sum(one.nbytes for one in learner.actor.parameters())
-    assert algorithm.count_bytes(spec) == pytest.approx(needed, rel=0.2)
-    assert algorithm.count_bytes(spec, has_average=True) - algorithm.count_bytes(spec) == average
-
-
-def test_networks_of_30_000_units_exceed_24_gib() -> None:
-    spec = PolicySpec(task="Predation", num_inputs=12, num_actions=5, hidden=(30_000, 30_000))
-    assert DiscreteSAC().count_bytes(spec) > 24 * 2**30
