@@ -178,7 +178,6 @@ FLOWS: list[Case] = [
         torch.half,
         torch.float,
     ),
-    (lambda steps: run(num_steps=steps, max_bytes=1e6), "steps", 2000, 2),
     (
         lambda compile: torch.func.vmap(lambda x: run(compile=compile)[0].f * x)(torch.ones(1)),
         "compile",

@@ -28,7 +28,7 @@ from fishrl.envs import Flows, Predation, PredationPair, make_env, make_task
 from fishrl.envs.wakes import develop_wakes
 from fishrl.modules import RandomPolicy
 from fishrl.objectives import FitSettings, score_classifier
-from fishrl.physics import Cylinder, FlowConfig, FlowState, InPlaceSolver, estimate_memory, simulate
+from fishrl.physics import Cylinder, FlowConfig, FlowState, InPlaceSolver, simulate
 from fishrl.physics.fast.inductor import set_up_inductor
 from fishrl.physics.flow import make_rest
 from fishrl.training import (
@@ -85,7 +85,6 @@ def profile(folder: Path) -> None:
 
 def run_steps(folder: Path) -> None:
     state = FlowState(make_rest(CONFIG, 1), (place_body(20.0, 16.0),))
-    estimate_memory(state, CONFIG, num_steps=2)
     simulate(state, CONFIG, num_steps=2)
 
 

@@ -26,7 +26,7 @@ from fishrl.physics.bodies.motion import Motion
 from fishrl.physics.boundaries import NonEquilibrium
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.flow import FlowState, make_params, make_uniform
-from fishrl.physics.levels.grids import fill_patches, make_patches, move_patch, plan_levels
+from fishrl.physics.levels.grids import Grids, make_patches
 from fishrl.physics.step import step
 
 MOVING = NonEquilibrium(velocity=(1.0, 0.0))
@@ -184,19 +184,22 @@ def cross_uniform_flow(*, levels: int) -> Result:
     config = FlowConfig(
         width=160, height=160, tau=0.52, boundaries=PERIODIC, levels=levels, patches=(patch,)
     )
-    params, root = make_params([config]), plan_levels(config)
+    params = make_params([config])
     width, height = config.coarsest_size
     one = torch.ones(1, height, width, dtype=torch.float64)
     given = make_uniform(0.01 * one, 0.05 * one, -0.03 * one)
     state = make_patches(FlowState(given), config, params)
     random = torch.Generator().manual_seed(1)
-    low, high = (torch.tensor(ends) for ends in root.patches[0].frame[1:])
     for _ in range(100):
+        grids = Grids(state, config, params)
+        _, low, high = (torch.tensor(ends) for ends in grids.levels[1].frame)
         by = torch.randint(-1, 2, (1, 2), generator=random)
-        goal = state.patches[0].origin + by
+        goal = grids.origins[1] + by
         by = torch.where((goal >= low) & (goal <= high), by, 0)
-        state = fill_patches(state, root, params)
-        state = state._replace(patches=(move_patch(state.patches[0], by),))
-        state = step(state, config, params)
-    inside = state.patches[0].flow.f - given[:, :, :1, :1]
+        chain = range(1, levels)
+        for number in chain:
+            grids.fill(number)
+        grids.move(chain, [by, *[torch.zeros_like(by)] * (levels - 2)])
+        state = step(grids.collect(), config, params)
+    inside = state.patches[0].f - given[:, :, :1, :1]
     return {"error": float(max((state.f - given).abs().max(), inside.abs().max()))}

@@ -35,7 +35,7 @@ from fishrl.physics.diagnostics import (
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, Sponge
 from fishrl.physics.levels.patch import Patch
-from fishrl.physics.rollout import estimate_memory, simulate
+from fishrl.physics.rollout import simulate
 from fishrl.physics.skins import BounceBack, ImmersedBoundary, Skin
 from fishrl.physics.units import Scales, compute_tau
 
@@ -85,7 +85,6 @@ __all__ = [
     "compute_strouhal",
     "compute_tau",
     "compute_vorticity",
-    "estimate_memory",
     "measure_cycles",
     "simulate",
 ]

@@ -25,21 +25,17 @@ class Commands:
 
     Args:
         configs: one per flow.
-        has_own_bodies: whether the flows have bodies of other parameters than ``configs``.
     """
 
-    def __init__(self, configs: Sequence[FlowConfig], *, has_own_bodies: bool = False) -> None:
+    def __init__(self, configs: Sequence[FlowConfig]) -> None:
         self._configs = configs
-        self._growth: dict[int, tuple[list[float], list[float]]] = {}
-        self._usual: dict[int, tuple[Tensor, Tensor]] = {}
+        self._growth: dict[int, tuple[list[float], list[float]] | None] = {}
         self._accepted: dict[int, Tensor] = {}
-        self._has_own_bodies = has_own_bodies
 
     def forget(self, *indices: int) -> None:
-        """Expect these bodies to have other parameters from now on."""
-        self._has_own_bodies = True
+        """Expect these bodies to have other parameters from now on than the configurations'."""
         for index in indices:
-            self._growth.pop(index, None)
+            self._growth[index] = None
             self._accepted.pop(index, None)
 
     @torch.no_grad()
@@ -92,17 +88,14 @@ class Commands:
 
     def _measure(self, index: int, params: BodyParams) -> tuple[list[float], list[float]]:
         """Return by what the bodies are larger and beat faster than those of the configurations."""
-        ones, num = [1.0] * len(self._configs), len(self._configs)
-        if not self._has_own_bodies:
-            return ones, ones
-        if index not in self._growth:
-            kind = self._configs[0].bodies[index]
-            if index not in self._usual:
-                self._usual[index] = _measure_body(kind, make_params(self._configs).bodies[index])
-            pairs = zip(_measure_body(kind, params), self._usual[index], strict=True)
-            grown, faster = ((new / old).expand(num).tolist() for new, old in pairs)
-            self._growth[index] = grown, faster
-        return self._growth[index]
+        ones = [1.0] * len(self._configs)
+        found = self._growth.get(index, (ones, ones))
+        if found is None:
+            kind, usual = self._configs[0].bodies[index], make_params(self._configs).bodies[index]
+            pairs = zip(_measure_body(kind, params), _measure_body(kind, usual), strict=True)
+            grown, faster = ((new / old).expand(len(ones)).tolist() for new, old in pairs)
+            found = self._growth[index] = grown, faster
+        return found
 
 
 def _compute_speed(kind: BodyConfig, frequency: float, grown: float, faster: float) -> float:

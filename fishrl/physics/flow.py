@@ -316,13 +316,13 @@ class FlowState(NamedTuple):
     bodies: tuple[BodyState, ...] = ()  #: state of each body
     #: ``[B]`` steps since the start; None means that the stream no longer changes
     clock: Tensor | None = None
-    patches: tuple["PatchState", ...] = ()  #: finer grids inside
+    patches: tuple["PatchState", ...] = ()  #: finer grids, as ``FlowConfig.list_grids`` has them
 
 
 class PatchState(NamedTuple):
     """A finer grid and its place."""
 
-    flow: FlowState  #: its populations, and the next finer grid
+    f: Tensor  #: ``[B, Q, Y, X]`` incoming populations
     origin: Tensor  #: ``[B, 2]`` int64, (x, y) of its first node in its parent's nodes
 
 

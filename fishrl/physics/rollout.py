@@ -9,7 +9,7 @@ that N steps need memory in proportion to sqrt(N), 0.2 GB for that beat. Each st
 import warnings
 from collections.abc import Callable, Sequence
 from functools import cache
-from math import ceil, inf, sqrt
+from math import inf, sqrt
 from typing import TypeVar
 
 import torch
@@ -35,7 +35,6 @@ def simulate(
     control: Callable[[int, FlowState], FlowState] | None = None,
     record: Callable[[FlowState], Tree] | None = None,
     segment: int | None = None,
-    max_bytes: float | None = None,
     compile: bool = False,
 ) -> tuple[FlowState, Tree | None]:
     """Advance a batch of flows by many readable steps, differentiably.
@@ -63,8 +62,6 @@ def simulate(
         record: called with the state at the end of each interval; returns tensors.
         segment: steps between the states that are kept for the gradient; by default about the
             square root of N. N keeps everything and repeats nothing.
-        max_bytes: memory that may be kept for the gradient; the segment is then the one that needs
-            least. None checks nothing.
         compile: compile the step and its gradient at the first call for this configuration and
             number of flows, for minutes; then one flow of 64 x 48 nodes is ten times faster. For
             ``backward`` and ``torch.autograd.grad`` alone, without ``create_graph``.
@@ -75,8 +72,8 @@ def simulate(
 
     Raises:
         ValueError: for numbers of steps that do not fit together, populations of another type,
-            more memory than ``max_bytes``, ``compile`` within a transform of ``torch.func``, and
-            commands as ``InPlaceSolver.command_``, except within such a transform.
+            ``compile`` within a transform of ``torch.func``, and commands as
+            ``InPlaceSolver.command_``, except within such a transform.
     """
     unit = config.coarsest_spacing
     interval = unit if interval == 1 else interval
@@ -87,17 +84,11 @@ def simulate(
         )
     if state.f.dtype not in (torch.float32, torch.float64):
         raise ValueError(f"f is {state.f.dtype}: give float32 or float64, such as state.f.float()")
-    commands = Commands([config] * len(state.f), has_own_bodies=params is not None)
+    commands = Commands([config] * len(state.f))
     if params is None:
         params = make_params([config] * len(state.f), state.f.device)
-    if max_bytes is not None:
-        least, segment = estimate_memory(state, config, params, num_steps=num_steps)
-        if least > max_bytes:
-            raise ValueError(
-                f"{num_steps} steps of {len(state.f)} flows keep at least {least / 1e9:.3g} GB for "
-                f"the gradient, max_bytes allows {max_bytes / 1e9:.3g}: give fewer steps, flows or "
-                "nodes, or float32"
-            )
+    else:
+        commands.forget(*range(len(config.bodies)))
     is_transformed = torch._C._functorch.peek_interpreter_stack() is not None
     if compile and is_transformed:
         raise ValueError("compile = True: torch.func cannot see into it; give compile = False")
@@ -166,28 +157,3 @@ def _compile_step(state: FlowState, config: FlowConfig, params: FlowParams) -> F
         held[layout] = compile_differentiable(advance, leaves)
     after: FlowState = pytree.tree_unflatten(held[layout](*leaves), pytree.tree_structure(state))
     return after
-
-
-def estimate_memory(
-    state: FlowState, config: FlowConfig, params: FlowParams | None = None, *, num_steps: int
-) -> tuple[int, int]:
-    """Return the fewest bytes that ``simulate`` keeps for the gradient, and the segment for it.
-
-    It makes one step and counts what that saves; arguments are those of ``simulate``.
-    """
-    saved: dict[int, int] = {}
-
-    def count(tensor: Tensor) -> Tensor:
-        storage = tensor.untyped_storage()
-        saved[storage.data_ptr()] = storage.nbytes()
-        return tensor
-
-    with torch.enable_grad(), torch.autograd.graph.saved_tensors_hooks(count, lambda t: t):
-        step(state._replace(f=state.f.detach().clone().requires_grad_()), config, params)
-    per_step = sum(saved.values())
-    tensors = [t for t in pytree.tree_leaves(state) if isinstance(t, Tensor)]
-    per_state = sum(t.untyped_storage().nbytes() for t in tensors)
-    unit = config.coarsest_spacing
-    num_steps //= unit
-    segment = max(1, min(num_steps, round(sqrt(num_steps * per_state / per_step))))
-    return segment * per_step + ceil(num_steps / segment) * per_state, segment * unit

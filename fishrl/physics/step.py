@@ -1,7 +1,7 @@
 """One step of the flow and the bodies in it. Read this file first.
 
 This is the readable step: batched, functional, of any float type, differentiable. The in-place step
-(``fast/stepper.py``) calls the same collision, skin and edge functions and is tested against it.
+(``fast/grid.py``) calls the same collision, skin and edge functions and is tested against it.
 
 The method in one paragraph. A flow is nine populations f_i at every node, the densities of fluid
 that moves along the nine lattice directions c_i. ``f`` holds their deviations f_i - w_i from fluid
@@ -58,15 +58,7 @@ from torch import Tensor
 from fishrl.physics.boundaries import apply_boundaries_
 from fishrl.physics.collision import Collided, collide_mrt, compute_macroscopic
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, compute_stream_speed, make_params
-from fishrl.physics.levels.grids import (
-    Level,
-    fill_patches,
-    hand_down,
-    hand_up,
-    plan_levels,
-    restrict_patches,
-    shift,
-)
+from fishrl.physics.levels.grids import Grids, plan_levels
 from fishrl.physics.streaming import stream
 
 
@@ -100,30 +92,32 @@ def step(
         )
     if params is None:
         params = make_params([config] * len(state.f), state.f.device)
-    root = plan_levels(config)
-    if not root.patches:
+    num_patches = len(plan_levels(config)) - 1
+    if not num_patches:
         return _step_grid(state, config, params, external_force)
-    if external_force is not None or len(state.patches) != len(root.patches):
+    if external_force is not None or len(state.patches) != num_patches:
         raise ValueError(
             f"levels = {config.levels} with external_force = {external_force} and "
             f"{len(state.patches)} patches in the state: give no force, and the state of "
             "levels.grids.make_patches"
         )
-    state = hand_down(shift(state, root, params), root)
-    return hand_up(_step_level(state, root, params), root)
+    grids = Grids(state, config, params)
+    grids.shift()
+    _step_level(grids, 0)
+    return grids.collect()
 
 
-def _step_level(state: FlowState, level: Level, params: FlowParams) -> FlowState:
+def _step_level(grids: Grids, number: int) -> None:
     """Advance a grid by one of its steps, and those inside it by two of theirs."""
-    state = fill_patches(state, level, params)
-    patches = state.patches
-    state = _step_grid(state, level.config, level.convert(params))
-    for _ in range(2):
-        patches = tuple(
-            patch._replace(flow=_step_level(patch.flow, finer, params))
-            for patch, finer in zip(patches, level.patches, strict=True)
-        )
-    return restrict_patches(state._replace(patches=patches), level, params)
+    inside = grids.list_inside(number)
+    for finer in inside:
+        grids.fill(finer)
+    level = grids.levels[number]
+    grids.flows[number] = _step_grid(grids.flows[number], level.config, grids.params[number])
+    for finer in inside:
+        _step_level(grids, finer)
+        _step_level(grids, finer)
+        grids.restrict(finer)
 
 
 def _step_grid(

@@ -28,13 +28,6 @@ class Surface(NamedTuple):
     velocity: Tensor  #: ``[B, 2, N]`` of the markers at these rates
     freedoms: list[Freedom]  #: rates that the flow determines
 
-    def change_rates(self, changes: Sequence[Tensor]) -> list[Tensor]:
-        """Return the rates after a change ``[B]`` of each freedom."""
-        rates = list(self.rates)
-        for freedom, change in zip(self.freedoms, changes, strict=True):
-            rates[freedom.axis] = rates[freedom.axis] + change
-        return rates
-
 
 def prescribe_surface(
     body: BodyConfig,

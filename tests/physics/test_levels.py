@@ -24,7 +24,7 @@ from fishrl.physics import (
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.flow import FlowParams, make_params, make_rest, make_uniform
-from fishrl.physics.levels.grids import fill_patches, make_patches, move_patch, plan_levels
+from fishrl.physics.levels.grids import Grids, list_chains, make_patches, plan_levels
 from fishrl.physics.levels.patch import RING
 from fishrl.physics.levels.transfer import coarsen, fill, fill_all, restrict
 from fishrl.physics.step import step
@@ -52,15 +52,16 @@ def walk(
     state: FlowState, config: FlowConfig, params: FlowParams, random: torch.Generator
 ) -> FlowState:
     """Return the state after each patch of the root has moved at random, within its bounds."""
-    root = plan_levels(config)
-    state = fill_patches(state, root, params)
-    moved = []
-    for patch, level in zip(state.patches, root.patches, strict=True):
-        by = torch.randint(-1, 2, patch.origin.shape, generator=random)
-        goal = patch.origin + by
-        low, high = torch.tensor(level.frame.low), torch.tensor(level.frame.high)
-        moved.append(move_patch(patch, torch.where((goal >= low) & (goal <= high), by, 0)))
-    return state._replace(patches=tuple(moved))
+    grids = Grids(state, config, params)
+    for chain in list_chains(grids.levels):
+        for number in chain:
+            grids.fill(number)
+        origin, frame = grids.origins[chain[0]], grids.levels[chain[0]].frame
+        by = torch.randint(-1, 2, origin.shape, generator=random)
+        low, high = torch.tensor(frame.low), torch.tensor(frame.high)
+        by = torch.where((origin + by >= low) & (origin + by <= high), by, 0)
+        grids.move(chain, [by, *[torch.zeros_like(by)] * (len(chain) - 1)])
+    return grids.collect()
 
 
 def refine(state: FlowState, config: FlowConfig) -> FlowState:
@@ -111,8 +112,7 @@ def test_uniform_flow_stays_uniform_while_patches_walk_at_random(levels):
     random = torch.Generator().manual_seed(1)
     for _ in range(10):
         state = step(walk(state, config, params, random), config, params)
-    patch = state.patches[0].flow
-    for f in (state.f, patch.f, *(inside.flow.f for inside in patch.patches)):
+    for f in (state.f, *(patch.f for patch in state.patches)):
         assert (f - given).abs().max() < 1e-16
 
 
@@ -162,9 +162,8 @@ def test_flow_crosses_a_patch_or_two_with_about_the_error_of_the_coarse_grid(
     state, without = refine(FlowState(start), refined), FlowState(start)
     inside = []
     for patch in state.patches:
-        (x, y), (height, width) = (2 * patch.origin[0]).tolist(), patch.flow.f.shape[2:]
-        f = exact.f[..., y : y + height, x : x + width]
-        inside.append(patch._replace(flow=patch.flow._replace(f=f)))
+        (x, y), (height, width) = (2 * patch.origin[0]).tolist(), patch.f.shape[2:]
+        inside.append(patch._replace(f=exact.f[..., y : y + height, x : x + width]))
     state = state._replace(patches=tuple(inside))
     random = torch.Generator().manual_seed(3)
     errors, own = [], []
@@ -249,7 +248,7 @@ def test_patch_stops_before_an_edge_and_the_flow_stays_finite():
     fish = place_body(80.0, 48.0, math.pi, 1.0 / 180)
     state = refine(FlowState(make_rest(config, 1), (fish,), 0.0 * ONE), config)
     state = advance(state, config, 70)
-    (level,) = plan_levels(config).patches
+    _, level = plan_levels(config)
     assert int(state.patches[0].origin[0, 1]) == level.frame.high[1]
     assert state.f.isfinite().all()
 

@@ -50,7 +50,8 @@ LIMITS = {
 
 def find_near(body: BodyConfig) -> float:
     """Return a frequency near its bound."""
-    return 0.9 * body.largest_frequency
+    at_rest, beating = body.compute_wall_speed(0.0), body.compute_wall_speed(1.0)
+    return 0.9 * (0.3 - at_rest) / (beating - at_rest)
 
 
 def construct(config: FlowConfig, name: str, value: float) -> None:

@@ -7,7 +7,6 @@ heading is pi faces -x and its axis points downstream of a flow along +x.
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from math import inf
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -90,13 +89,6 @@ class BodyConfig(Settings, ABC):
                 f"frequency {frequency:g} per step: its surface would move at {speed:.3g} nodes "
                 f"per step, allowed is {MAX_IMPOSED_SPEED}: slow it down"
             )
-
-    @cached_property
-    def largest_frequency(self) -> float:
-        """Frequency at which the surface is as fast as the method allows, per step."""
-        at_rest, rise = self.compute_wall_speed(0.0), self.compute_wall_speed(1.0)
-        rise -= at_rest
-        return (MAX_IMPOSED_SPEED - at_rest) / rise if rise > 0.0 else inf
 
     @property
     def can_bend(self) -> bool:

@@ -1,40 +1,51 @@
-"""All flows of a batch in one block of memory, and the step that advances them in this process."""
+"""All flows of a batch, and the steps that advance them in this process."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
+from itertools import combinations
 
 import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.memory import check_memory
-from fishrl.physics.bodies.state import BodyState, make_body
-from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.diagnostics import compute_vorticity
-from fishrl.physics.fast.checks import check_tensor
-from fishrl.physics.fast.flow_memory import FlowData, GroupMemory, carve_memory
-from fishrl.physics.fast.layout import InPlaceLayout
-from fishrl.physics.fast.part import FlowGroup, Part, copy_tree
-from fishrl.physics.fast.stepper import Stepper
-from fishrl.physics.flow import FlowConfig, make_params
+from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.fast.fields import lay_together, read_fluid, read_vorticity
+from fishrl.physics.fast.flow_memory import FlowData
+from fishrl.physics.fast.grid import Allocate, Grid, make_fresh
+from fishrl.physics.fast.part import Bound, Part, Repeater, Step, compile_parts, copy_tree
+from fishrl.physics.fast.transfer_parts import (
+    Occasionally,
+    PatchMemory,
+    make_filling,
+    make_moving,
+    make_restriction,
+    make_shift_choice,
+)
+from fishrl.physics.flow import FlowConfig
+from fishrl.physics.geometry import locate_markers
+from fishrl.physics.levels.grids import find_corners, list_chains, place_patches, plan_levels
+from fishrl.physics.levels.patch import RING
+from fishrl.physics.levels.transfer import fill_all
 from fishrl.torch_state import one_thread
+
+Arguments = tuple[Sequence[Tensor], Sequence[Tensor]]  # before even and odd steps of the parent
+Calls = list[tuple[Part, Arguments]]
 
 
 class FlowBatch:
     """Flows in memory, in groups that advance together.
 
+    Between advances ``flow`` has all numbers, in nodes and steps of the finest level. With levels
+    an advance hands them to the grids, bodies with positions in their patches, and takes them back.
+
     Args:
         configs: one per flow.
         group_size: flows per group.
         device: where everything lives.
-        allocate: makes the block of memory, from its size in bytes.
-
-    ``RefinedBatch`` has the same methods for flows with levels.
+        allocate: makes blocks of memory, from their size in bytes.
 
     Attributes:
         flow: everything except the populations, changed in place.
-        groups: by their number in the batch.
-        stepper: the step of all groups.
+        grids: as in ``FlowConfig.list_grids``.
     """
 
     def __init__(
@@ -43,111 +54,243 @@ class FlowBatch:
         *,
         group_size: int,
         device: torch.device,
-        allocate: Callable[[int], Tensor],
+        allocate: Allocate,
     ) -> None:
-        config = self._config = configs[0]
-        self._size = group_size
-        self.layout = InPlaceLayout(num_envs=group_size, height=config.height, width=config.width)
-        self._fresh = make_fresh(configs, device)
-        self.flow, self._omega, self._populations = carve_memory(
-            self._fresh,
-            self.layout,
-            has_omega_field=bool(config.sponges),
-            allocate=allocate,
+        self._config, self._fresh = configs[0], make_fresh(configs, device)
+        plans = zip(*map(plan_levels, configs), strict=True)
+        self.grids = [
+            Grid(own, group_size=group_size, device=device, allocate=allocate) for own in plans
+        ]
+        self._root, *self._patches = self.grids
+        self._levels = [grid.level for grid in self.grids]
+        self.flow = self._root.flow
+        if self._patches:
+            self.flow = pytree.tree_map(
+                lambda t: t.clone(memory_format=torch.contiguous_format), self._fresh
+            )
+        sizes = [grid.level.frame.size for grid in self._patches]
+        self._fills = [make_filling(*size) for size in sizes]
+        self._takes, self._ends = (
+            [make_restriction(is_whole=is_whole) for _ in sizes] for is_whole in (False, True)
         )
-        self.stepper = Stepper(
-            config, self.layout, pytree.tree_map(lambda t: t[:group_size], self._fresh)
-        )
-        layout = self.layout
-        self._last = torch.tensor([layout.width - 1.0, layout.height - 1.0], device=device)
-        slots = torch.tensor(layout.offsets(0, False), device=device)
-        self._slots = slots.view(-1, 1, 1, 1)  # of the nine populations
-        self.groups = {
-            number: FlowGroup(self.memory_of(number), self.stepper.list_all())
-            for number in range(len(configs) // group_size)
+        self._numbers = range(len(self._root.groups))
+        self._transfers: dict[tuple[Part, int], Arguments] = {
+            (part, number): part.bind(self._find_memory(grid, number))
+            for parts in (self._fills, self._takes, self._ends)
+            for part, grid in zip(parts, self._patches, strict=True)
+            for number in self._numbers
         }
-        self.first = self.groups[0]
+        self._chains = list_chains(self._levels)
+        self._moving = [chain for chain in self._chains if self._levels[chain[0]].moves]
+        self._choices = [make_shift_choice([self._levels[n] for n in own]) for own in self._moving]
+        self._moves = [make_moving(device) for _ in self._moving]
+        self._repeaters = [self._make_repeaters(number) for number in self._numbers]
 
-    def memory_of(self, number: int) -> GroupMemory:
-        """Return a group's part of the memory."""
-        own = self.rows_of(number)
-        return GroupMemory(
-            layout=self.layout,
-            populations=self._populations[number],
-            omega=self._omega[own],
-            flow=pytree.tree_map(lambda t: t[own], self.flow),
+    def _find_memory(self, grid: Grid, number: int) -> PatchMemory:
+        parent, own = self.grids[grid.level.parent], grid.rows_of(number)
+        return PatchMemory(grid.memory_of(number), parent.memory_of(number), grid.origin[own])
+
+    def _make_repeaters(self, number: int) -> tuple[Repeater, Repeater, Repeater]:
+        """Return a group's steps: once before many, a pair of the coarsest level, once after."""
+        ends = [*reversed(self._ends), *self._fills]  # all nodes valid, to be read or stored
+        return (
+            Repeater(self._list_located(number)),
+            Repeater(self._list_pair(number)),
+            Repeater([(part, self._transfers[part, number][0]) for part in ends]),
         )
 
-    def rows_of(self, number: int) -> slice:
-        """Return which flows of the batch are in a group."""
-        return slice(number * self._size, (number + 1) * self._size)
+    def _list_located(self, number: int) -> list[Bound]:
+        """Return what finds out where still bodies and sharp skins are."""
+        return [bound for grid in self.grids for bound in grid.list_located(number)]
 
-    def initialise_(self) -> None:
-        """Write the initial parameters, bodies at rest and relaxation rates."""
-        copy_tree(self.flow, self._fresh)
-        self.set_omega_()
+    def _list_pair(self, number: int) -> list[tuple[Step, Sequence[Tensor]]]:
+        """Return what an even and an odd step of the coarsest level consist of."""
+        by, choices, moves = self._bind_moves(number)
+        steps: list[tuple[Step, Sequence[Tensor]]] = []
+        for parity in (0, 1):
+            steps += [(part, arguments[parity]) for part, arguments in choices]
+            fills = [
+                (part, self._transfers[part, number][0 if grid.level.parent else parity])
+                for part, grid in zip(self._fills, self._patches, strict=True)
+            ]  # what lies in the ring moves inwards
+            moved = [(part, arguments[parity]) for part, arguments in moves]
+            shift = [*fills, *moved, *self._list_located(number)] if moves else []
+            if shift and by.device.type == "cpu":
+                steps.append((Occasionally(by, Repeater(shift)), ()))
+            else:
+                steps += shift
+            steps += self._list_step(0, number, parity)
+        return steps
 
-    def set_omega_(self) -> None:
-        """Write the relaxation rates of the present parameters."""
-        omega = self._config.compute_omega(self.flow.params.tau)
-        if omega.shape[1:] == (1, 1):
-            self._omega.copy_(omega[:, 0])
-        else:
-            self._omega.fill_(1.0)
-            self.layout.strip_rings(self._omega).copy_(omega)
+    def _bind_moves(self, number: int) -> tuple[Tensor, Calls, Calls]:
+        """Return a group's moves, what chooses them for patches that follow bodies, and moves."""
+        by = torch.zeros_like(self._root.origin[self._root.rows_of(number)])
+        by = by.repeat(len(self.grids), 1, 1)
+        chains = [
+            ([self._find_memory(self.grids[n], number) for n in own], by[own[0] : own[-1] + 1])
+            for own in self._moving
+        ]
+        choices, moves = (
+            [(part, part.bind(chain)) for part, chain in zip(parts, chains, strict=True)]
+            for parts in (self._choices, self._moves)
+        )
+        return by, choices, moves
+
+    def _list_step(self, grid: int, number: int, parity: int) -> list[Bound]:
+        """Return a group's parts of a step of a grid, and of two of those inside it."""
+        inside = [n for n, own in enumerate(self._levels) if n and own.parent == grid]
+        fills, takes = ([parts[n - 1] for n in inside] for parts in (self._fills, self._takes))
+        steps = [(part, self._transfers[part, number][parity]) for part in fills]
+        steps += self.grids[grid].list_step(number, parity)
+        for finer in inside:
+            for half in (0, 1):
+                steps += self._list_step(finer, number, half)
+        return steps + [(part, self._transfers[part, number][1 - parity]) for part in takes]
+
+    def _list_all(self, *, with_check: bool) -> list[Bound]:
+        """Return all parts with arguments of the first group."""
+        parts = [own for grid in reversed(self.grids) for own in grid.list_all(with_check)]
+        transfers = [(part, args) for (part, number), args in self._transfers.items() if not number]
+        _, choices, moves = self._bind_moves(0)
+        return parts + [(part, args[0]) for part, args in (*transfers, *choices, *moves)]
 
     def compile(self, *, with_check: bool, helps: bool = False) -> None:
-        """Compile the step, as ``Stepper.compile``."""
-        self.stepper.compile(self.first, with_check=with_check, helps=helps)
+        """Compile all parts, as ``compile_parts``; a process that reads flows needs the check."""
+        compile_parts(self._list_all(with_check=with_check), helps=helps)
         self._forget_checks()
 
     def compile_check(self) -> None:
-        """Compile the check alone, for a process that reads flows which others advance."""
-        self.stepper.check.compile(self.first.arguments[self.stepper.check][0])
+        """Compile the checks alone, for a process that reads flows which others advance."""
+        for grid in self.grids:
+            grid.check.compile(grid.groups[0].arguments[grid.check][0])
         self._forget_checks()
 
     def _forget_checks(self) -> None:
-        """Let checks that ran before they were compiled be made again."""
-        for group in self.groups.values():
-            group.checker = None
+        for grid in self.grids:
+            grid.forget_checks()
 
     def is_new(self) -> bool:
         """Return whether ``compile`` would put new code on the disk."""
-        return self.stepper.is_new(self.first)
+        return not all(part.is_stored(own) for part, own in self._list_all(with_check=True))
 
-    def list_calls(self) -> list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]:
-        """Return ``InPlaceSolver.list_calls``."""
-        return [(part, self.first.arguments[part]) for part in self.stepper.parts]
+    def list_calls(self) -> Calls:
+        """Return ``InPlaceSolver.list_calls``, of a step of the coarsest level."""
+        even, odd = (self._list_step(0, 0, parity) for parity in (0, 1))
+        own = [(part, (at, after)) for (part, at), (_, after) in zip(even, odd, strict=True)]
+        return [*self._bind_moves(0)[1], *own]
 
-    def check_places(self, bodies: Sequence[BodyState], rows: Tensor) -> None:
-        """Raise ValueError for bodies that may not be where they are: none, with one level."""
+    def advance_(self, num_steps: int, wanted: Collection[int]) -> None:
+        """Advance the wanted groups."""
+        num_pairs = num_steps // self._root.level.spacing // 2
+        for number in self._numbers:
+            if number in wanted and num_pairs:
+                begin, pair, end = self._repeaters[number]
+                begin.run(1)
+                pair.run(num_pairs)
+                end.run(1)
 
     def before_(self) -> None:
-        """Prepare an advance, in the process that reads the flows: nothing, with one level."""
+        """Prepare an advance: hand numbers and bodies to the grids of several levels."""
+        if not self._patches:
+            return
+        for grid, corner in zip(self.grids, self.find_corners(), strict=True):
+            level, own = grid.level, [self.flow.bodies[index] for index in grid.level.bodies]
+            bodies = tuple(body._replace(position=body.position - corner) for body in own)
+            clock, params = self.flow.clock / level.spacing, level.convert(self.flow.params)
+            copy_tree(grid.flow, FlowData(clock, params, bodies))
 
     def after_(self, wanted: Collection[int]) -> None:
-        """End it."""
+        """End it: take the numbers back, where positions of some groups have changed."""
+        if not self._patches:
+            return
+        has_moved, bodies = torch.zeros_like(self.flow.clock, dtype=torch.bool), [*self.flow.bodies]
+        for number in wanted:
+            has_moved[self._root.rows_of(number)] = True
+        for grid, corner in zip(self.grids, self.find_corners(), strict=True):
+            for index, body in zip(grid.level.bodies, grid.flow.bodies, strict=True):
+                place = body.position + corner
+                place = torch.where(has_moved[:, None], place, bodies[index].position)
+                bodies[index] = body._replace(position=place)
+        clock = self._root.flow.clock * self._root.level.spacing
+        copy_tree(self.flow, self.flow._replace(clock=clock, bodies=tuple(bodies)))
+
+    def initialise_(self) -> None:
+        """Write the initial parameters, bodies at rest and relaxation rates; place patches."""
+        copy_tree(self.flow, self._fresh)
+        self.before_()
+        for grid in self.grids:
+            grid.set_omega_()
+        self._place_(torch.ones_like(self.flow.clock, dtype=torch.bool))
 
     def fill_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
-        """Set all nodes of the flows in ``rows`` ``[B]`` bool to the populations ``[B]``."""
-        for number, group in self.groups.items():
-            own = self.rows_of(number)
-            if rows.is_cuda or self._size > 1 or rows[own].item():
-                group.fill_(rows[own], [value[own] for value in f])
+        """Set all nodes of the flows in ``rows`` ``[B]`` to populations ``[B]``; place patches."""
+        for grid in self.grids:
+            grid.fill_(rows, f)
+        self._place_(rows)
 
-    @property
-    def grids(self) -> "list[FlowBatch]":
-        """The grids, coarsest first: this one alone, with one level."""
-        return [self]
+    def _place_(self, rows: Tensor) -> None:
+        """Put the patches of some flows around their bodies."""
+        origins = place_patches(self._levels, self.flow.bodies, self.flow.clock)
+        for grid, origin in zip(self._patches, origins[1:], strict=True):
+            grid.origin.copy_(torch.where(rows[:, None], origin, grid.origin))
 
-    def find_corners(self) -> Tensor:
-        """Return the place ``[B, G, 2]`` int64 of the first node of each grid, finest nodes."""
-        return self.flow.clock.new_zeros(len(self.flow.clock), 1, 2, dtype=torch.int64)
+    def find_corners(self) -> list[Tensor]:
+        """Return the place ``[B, 2]`` int64 of the first node of each grid, finest nodes."""
+        return find_corners(self._levels, [grid.origin for grid in self.grids])
+
+    def check_places(self, bodies: Sequence[BodyState], rows: Tensor) -> None:
+        """Raise ValueError for bodies in ``rows`` ``[B]`` that patches cannot hold."""
+        if not self._patches or (rows.is_cuda and torch.cuda.is_current_stream_capturing()):
+            return
+        origins = place_patches(self._levels, bodies, self.flow.clock)
+        for is_wrong, problem in (
+            (self._find_overlap(origins), "patches of {} nodes overlap; move the bodies apart"),
+            (~self._find_inside(origins, bodies), "a body is not within its patch of {} nodes"),
+        ):
+            if (is_wrong & rows).any():
+                unit, top = self._root.level.spacing, [chain[0] for chain in self._chains]
+                sizes = [tuple(unit * (n // 2) for n in self._levels[p].frame.size) for p in top]
+                raise ValueError(
+                    f"flow {int((is_wrong & rows).int().argmax())}: {problem.format(sizes)}, take "
+                    "fewer levels, or give FlowConfig(patches=...) that hold the bodies"
+                )
+
+    def _find_overlap(self, origins: Sequence[Tensor]) -> Tensor:
+        """Return ``[B]``: whether patches of the root share more than their outermost nodes."""
+        found = torch.zeros_like(self.flow.clock, dtype=torch.bool)
+        for one, other in combinations([chain[0] for chain in self._chains], 2):
+            gap = origins[one] - origins[other]
+            ahead, behind = (0.5 * self.grids[n].last for n in (other, one))
+            found |= ((gap < ahead) & (gap > -behind)).all(-1)
+        return found
+
+    def _find_inside(self, origins: Sequence[Tensor], bodies: Sequence[BodyState]) -> Tensor:
+        """Return ``[B]``: whether all bodies lie where their patches are valid."""
+        found = torch.ones_like(self.flow.clock, dtype=torch.bool)
+        reach, corners = RING + self._config.skin.margin, find_corners(self._levels, origins)
+        for grid, corner in zip(self._patches, corners[1:], strict=True):
+            low = corner[:, None] + reach
+            high = low + grid.last - 2 * reach
+            for index in grid.level.bodies:
+                outline = locate_markers(self.flow.params.bodies[index], bodies[index])
+                found &= ((outline > low) & (outline < high)).flatten(1).all(-1)
+        return found
+
+    def is_fine(self) -> Tensor:
+        """Return ``[B]``: density and speed are within the method, and bodies in their patches."""
+        origins = [grid.origin for grid in self.grids]
+        fine = self._find_inside(origins, self.flow.bodies) & ~self._find_overlap(origins)
+        with one_thread():  # several would wait for each other, on a busy machine for seconds
+            return fine & torch.stack([grid.is_fine() for grid in self.grids]).all(0)
+
+    def is_lost(self) -> Tensor:
+        """Return ``[B]``: the middle of a grid is not finite."""
+        return torch.stack([grid.is_lost() for grid in self.grids]).any(0)
 
     def choose_written(self, rows: Tensor, f: Tensor | Sequence[Tensor | None]) -> Tensor:
         """Return the rows for ``write_``: ``[B]`` bool on a GPU, if ``f`` is of all flows."""
         first = f if isinstance(f, Tensor) else f[0]
-        is_whole = first is not None and len(first) == len(rows)
+        is_whole = first is not None and len(first) == len(rows) and not self._patches
         return rows if rows.is_cuda and is_whole else rows.nonzero()[:, 0]
 
     def write_(self, rows: Tensor, f: Sequence[Tensor | None]) -> None:
@@ -155,93 +298,54 @@ class FlowBatch:
 
         ``rows`` ``[N]`` are indices, or ``[B]`` bool, and then ``f`` is of all flows.
         """
-        (given,) = f
-        assert given is not None  # as checked: there is no parent
-        if rows.dtype == torch.bool:
-            for number, group in self.groups.items():
-                part = self.rows_of(number)
-                group.merge_(rows[part], given[part].to(self._populations))
-            return
-        for number in sorted(set((rows // self._size).tolist())):
-            is_own = rows // self._size == number
-            own = given.to(self._populations)[is_own]
-            self.groups[number].write_(rows[is_own] % self._size, own)
-
-    def populations(self) -> Tensor:
-        """Return a copy of the incoming populations ``[B, Q, Y, X]``."""
-        return torch.cat([torch.stack(group.nodes, 1) for group in self.groups.values()])
-
-    def macroscopic(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Return density ``[N, Y, X]`` and velocity ``[N, 2, Y, X]`` of flows ``rows`` ``[B]``."""
-        fluids = []
-        for number, group in self.groups.items():
-            nodes: Sequence[Tensor] = group.nodes
-            if rows is not None and not (own := rows[self.rows_of(number)]).all():
-                nodes = [f[own] for f in nodes]
-            fluids.append(compute_macroscopic(nodes))
-        velocities = [torch.stack((fluid.ux, fluid.uy), 1) for fluid in fluids]
-        return torch.cat([fluid.rho for fluid in fluids]), torch.cat(velocities)
-
-    def vorticity(self, rows: Tensor | None = None, is_water: Tensor | None = None) -> Tensor:
-        """Return vorticity ``[N, Y, X]`` of flows ``rows`` ``[B]``; see ``compute_vorticity``."""
-        water = is_water if is_water is None or rows is None else is_water[rows]
-        return compute_vorticity(self.macroscopic(rows)[1], is_water=water)
-
-    def is_fine(self) -> Tensor:
-        """Return ``[B]``: whether density and speed are within the method."""
-        with one_thread():  # several would wait for each other, on a busy machine for seconds
-            return torch.cat([self.stepper.is_fine(group) for group in self.groups.values()])
-
-    def advance_(self, num_steps: int, wanted: Collection[int]) -> None:
-        """Advance the wanted groups."""
-        for number, group in self.groups.items():
-            if number in wanted:
-                self.stepper.advance_(group, num_steps)
-
-    def is_lost(self) -> Tensor:
-        """Return ``[B]``: the middle is not finite, which all of a diverged flow soon becomes."""
-        y, x = self.layout.height // 2, self.layout.width // 2
-        return torch.cat([~group.nodes[0][:, y, x].isfinite() for group in self.groups.values()])
+        for grid, own in zip(self.grids, f, strict=True):
+            if own is None:
+                parent = self.grids[grid.level.parent].populations()[rows]
+                tau = grid.level.convert(self.flow.params).tau[rows]
+                own = fill_all(grid.level.frame.size, parent, grid.origin[rows], tau)
+            grid.write_(rows, own)
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Read density ``[B, P]`` and velocity ``[B, P, 2]`` between the nodes, bilinearly.
+        """Read density and velocity at points, see ``Grid.sample``, on the finest grid there."""
+        rho, u = self._root.sample(points / self._root.level.spacing)
+        for grid, corner in zip(self._patches, self.find_corners()[1:], strict=True):
+            own = (points - corner[:, None]) / grid.level.spacing
+            inside = ((own >= RING) & (own <= grid.last - RING)).all(-1)
+            values = grid.sample(own)
+            rho = torch.where(inside, values[0], rho)
+            u = torch.where(inside[..., None], values[1], u)
+        return rho, u
 
-        ``points`` ``[B, P, 2]`` (x, y) in nodes, before an even step: those outside the grid are
-        moved to its edge, and where one is NaN, so is the result.
+    def macroscopic(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Return density ``[N, Y, X]`` and velocity ``[N, 2, Y, X]`` of flows ``rows`` ``[B]``.
+
+        Between the nodes of coarser levels they are linear.
         """
-        layout, device, last = self.layout, points.device, self._last.to(points)
-        place = torch.minimum(points.nan_to_num().clamp_min(0.0), last)
-        first = torch.minimum(place.floor(), last - 1.0)
-        right, up = (place - first).float().unbind(-1)
-        x, y = first.long().unbind(-1)
-        node = y * layout.row_length + x
-        above = node + layout.row_length
-        corners = torch.stack((node, node + 1, above, above + 1), 1)
-        weights = torch.stack(
-            ((1 - up) * (1 - right), (1 - up) * right, up * (1 - right), up * right), 1
-        )
-        flow = torch.arange(len(points), device=device)[:, None, None]
-        group, own = flow // layout.num_envs, flow % layout.num_envs
-        cells = corners + own * layout.flow_length + layout.first_cell
-        stored = self._populations[group, cells + self._slots]
-        fluid = compute_macroscopic(stored.unbind())
-        values = torch.stack((fluid.rho, fluid.ux, fluid.uy), -1)
-        mean = (weights[..., None] * values).sum(1)
-        mean = mean.masked_fill(points.isnan().any(-1, keepdim=True), torch.nan)
-        return mean[..., 0], mean[..., 1:]
+        field = self._lay_together(rows, lambda grid, _: read_fluid(grid, rows))
+        return field[:, 0], field[:, 1:]
+
+    def vorticity(self, rows: Tensor | None = None, is_water: Tensor | None = None) -> Tensor:
+        """Return vorticity ``[N, Y, X]`` of flows ``rows`` ``[B]``; see ``compute_vorticity``.
+
+        Differences are those of each grid's own nodes.
+        """
+        water = is_water if is_water is None or rows is None else is_water[rows]
+        return self._lay_together(
+            rows, lambda grid, corner: read_vorticity(grid, corner, rows, water)
+        )[:, 0]
+
+    def _lay_together(self, rows: Tensor | None, read: Callable[[Grid, Tensor], Tensor]) -> Tensor:
+        corners = [own if rows is None else own[rows] for own in self.find_corners()]
+        return lay_together(self.grids, corners, self._config, read)
 
     def name_state(self) -> dict[str, list[Tensor]]:
-        """Return everything that the future depends on, by name, each in groups of flows.
-
-        ``f0`` to ``f8`` are the incoming populations ``[B, Y, X]`` before an even step.
-        """
-        return {**self.name_populations(), **name_numbers(self.flow)}
-
-    def name_populations(self) -> dict[str, list[Tensor]]:
-        """Return populations and relaxation rates, for ``name_state``."""
-        nodes = zip(*(group.nodes for group in self.groups.values()), strict=True)
-        populations = {f"f{q}": list(views) for q, views in enumerate(nodes)}
-        return {**populations, "omega": [self._omega]}
+        """Return everything that the future depends on, by name, each in groups of flows."""
+        pairs, _ = pytree.tree_flatten_with_path(self.flow)
+        named = {pytree.keystr(path).lstrip("."): [leaf] for path, leaf in pairs}
+        for number, grid in enumerate(self.grids):
+            own = grid.name_state() | ({"origin": [grid.origin]} if number else {})
+            named |= {f"patch {number} {name}" if number else name: v for name, v in own.items()}
+        return named
 
     def load_state_(self, state: Mapping[str, Tensor]) -> None:
         """Restore the tensors of ``name_state``, each of all flows ``[B, ...]``.
@@ -249,73 +353,17 @@ class FlowBatch:
         Raises:
             ValueError: for a state of another grid, batch or version.
         """
-        restore_(self.name_state(), state)
-
-
-def name_numbers(flow: FlowData) -> dict[str, list[Tensor]]:
-    """Return the numbers of flows, for ``FlowBatch.name_state``."""
-    pairs, _ = pytree.tree_flatten_with_path(flow)
-    return {pytree.keystr(path).lstrip("."): [leaf] for path, leaf in pairs}
-
-
-def restore_(own: Mapping[str, Sequence[Tensor]], state: Mapping[str, Tensor]) -> None:
-    """Copy saved tensors ``[B, ...]`` into those of ``name_state``, as ``load_state_``."""
-    for name, parts in own.items():
-        shape = (sum(map(len, parts)), *parts[0].shape[1:])
-        expected = f"{parts[0].dtype} of shape {shape}"
-        saved = state.get(name)
-        got = "nothing" if saved is None else f"{saved.dtype} of shape {tuple(saved.shape)}"
-        if got != expected:
-            raise ValueError(
-                f"state '{name}' is {got}, expected {expected}: it was saved by a solver of "
-                "another grid, batch or version"
-            )
-    for name, parts in own.items():
-        for part, saved in zip(parts, torch.split(state[name], len(parts[0])), strict=True):
-            part.copy_(saved)
-
-
-def set_rows_(own: Any, new: Any, rows: Tensor, *, name: str) -> None:
-    """Copy ``rows`` ``[B]`` bool of all tensors ``[B, ...]`` of the nested tuple ``new``.
-
-    Raises:
-        ValueError: if forms or shapes differ; then nothing has changed.
-    """
-    pairs = list(zip(pytree.tree_leaves(own), pytree.tree_leaves(new), strict=True))
-    for before, after in pairs:
-        check_tensor(name, after, tuple(before.shape))
-    for before, after in pairs:
-        chosen = rows.view(-1, *(1,) * (before.dim() - 1))
-        before.copy_(torch.where(chosen, after, before))
-
-
-def make_fresh(configs: Sequence[FlowConfig], device: torch.device) -> FlowData:
-    """Return the initial numbers of flows, with bodies at rest in the middle of the domain."""
-    zero = torch.zeros(len(configs), dtype=torch.float64, device=device)
-    middle = torch.tensor([0.5 * configs[0].width, 0.5 * configs[0].height]).double()
-    body = make_body(middle.to(device).expand(len(configs), 2), zero, zero)
-    return FlowData(zero, make_params(configs, device), tuple(body for _ in configs[0].bodies))
-
-
-def list_configs(
-    config: FlowConfig | Sequence[FlowConfig],
-    num_envs: int | None,
-    device: torch.device | str = "cpu",
-) -> list[FlowConfig]:
-    """Return one configuration per flow.
-
-    Raises:
-        ValueError: if there are not ``num_envs`` of them, or their populations exceed the memory.
-    """
-    if isinstance(config, FlowConfig):
-        num_envs = 1 if num_envs is None else num_envs
-        if num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
-        check_memory(device=device, flows=num_envs * config.num_bytes)
-        return [config] * num_envs
-    if not config or num_envs not in (None, len(config)):
-        raise ValueError(
-            f"num_envs = {num_envs} with {len(config)} configurations: give one per flow"
-        )
-    check_memory(device=device, flows=sum(one.num_bytes for one in config))
-    return list(config)
+        own = self.name_state()
+        for name, parts in own.items():
+            shape = (sum(map(len, parts)), *parts[0].shape[1:])
+            expected = f"{parts[0].dtype} of shape {shape}"
+            saved = state.get(name)
+            got = "nothing" if saved is None else f"{saved.dtype} of shape {tuple(saved.shape)}"
+            if got != expected:
+                raise ValueError(
+                    f"state '{name}' is {got}, expected {expected}: it was saved by a solver of "
+                    "another grid, batch or version"
+                )
+        for name, parts in own.items():
+            for part, saved in zip(parts, torch.split(state[name], len(parts[0])), strict=True):
+                part.copy_(saved)

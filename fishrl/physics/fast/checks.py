@@ -6,6 +6,7 @@ from math import inf
 import torch
 from torch import Tensor
 
+from fishrl.memory import check_memory
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.lattice import Q
 
@@ -93,3 +94,27 @@ def check_device(device: torch.device | str) -> None:
             f"{num_devices} CUDA devices here; take device=cpu, or install a CUDA build of torch "
             "and its driver"
         )
+
+
+def list_configs(
+    config: FlowConfig | Sequence[FlowConfig],
+    num_envs: int | None,
+    device: torch.device | str = "cpu",
+) -> list[FlowConfig]:
+    """Return one configuration per flow.
+
+    Raises:
+        ValueError: if there are not ``num_envs`` of them, or their populations exceed the memory.
+    """
+    if isinstance(config, FlowConfig):
+        num_envs = 1 if num_envs is None else num_envs
+        if num_envs < 1:
+            raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
+        check_memory(device=device, flows=num_envs * config.num_bytes)
+        return [config] * num_envs
+    if not config or num_envs not in (None, len(config)):
+        raise ValueError(
+            f"num_envs = {num_envs} with {len(config)} configurations: give one per flow"
+        )
+    check_memory(device=device, flows=sum(one.num_bytes for one in config))
+    return list(config)

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from fishrl.limits import count_cores
+from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.fast.inductor import find_compiler_problem
-from fishrl.physics.fast.refined import make_batch
 from fishrl.physics.fast.workers import (
     SharedMemory,
     Workers,
@@ -67,7 +67,7 @@ class Execution:
         self._configs, self._device, self._wants_compile = configs, device, compile
         self._is_ready, self._end = False, ""  # why it cannot advance
         self._shared = open_shared() if self.num_workers else None
-        self.batch = make_batch(
+        self.batch = FlowBatch(
             configs,
             group_size=self.group_size,
             device=device,

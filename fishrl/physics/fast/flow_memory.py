@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from math import prod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.fast.checks import check_tensor
 from fishrl.physics.fast.layout import InPlaceLayout, round_up
 from fishrl.physics.flow import FlowParams
 
@@ -72,3 +73,17 @@ def carve_memory(
     flow: FlowData = pytree.tree_unflatten(shaped, form)
     omega = singles.view(torch.float32)[:num_omegas].view(num_envs, -1)
     return flow, omega, stored.view(torch.float32).view(slots)
+
+
+def set_rows_(own: Any, new: Any, rows: Tensor, *, name: str) -> None:
+    """Copy ``rows`` ``[B]`` bool of all tensors ``[B, ...]`` of the nested tuple ``new``.
+
+    Raises:
+        ValueError: if forms or shapes differ; then nothing has changed.
+    """
+    pairs = list(zip(pytree.tree_leaves(own), pytree.tree_leaves(new), strict=True))
+    for before, after in pairs:
+        check_tensor(name, after, tuple(before.shape))
+    for before, after in pairs:
+        chosen = rows.view(-1, *(1,) * (before.dim() - 1))
+        before.copy_(torch.where(chosen, after, before))

@@ -1,106 +1,219 @@
-"""One grid of a batch of flows with levels, and its place among the others."""
+"""One grid of a batch of flows: its populations in one block of memory, and the parts of its step.
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+Order of one step: collide all nodes without force (one pass, 72 bytes a node), then let the bodies
+act on the outgoing populations at their marker nodes alone, then set the edges. As collision
+conserves mass and momentum, the bodies see the same unforced velocity as in the readable
+``step.step``, and the increment they add makes the result equal to the forced collision there. Even
+and odd steps are the same code on other views (see ``layout.py``); states are read and written at
+even parity only.
+"""
+
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate, pad
+from torch.utils import _pytree as pytree
 
-from fishrl.physics.boundaries import Periodic
-from fishrl.physics.fast.batch import FlowBatch
-from fishrl.physics.fast.part import Part
-from fishrl.physics.fast.transfer_parts import Moving, PatchMemory
-from fishrl.physics.flow import FlowConfig
+from fishrl.physics.bodies.state import make_body
+from fishrl.physics.collision import Macroscopic, compute_macroscopic
+from fishrl.physics.fast.body_parts import make_skin_parts
+from fishrl.physics.fast.flow_memory import FlowData, GroupMemory, carve_memory
+from fishrl.physics.fast.fluid_parts import make_check, make_collision, make_crossing, make_edges
+from fishrl.physics.fast.layout import InPlaceLayout
+from fishrl.physics.fast.part import Bound, FlowGroup, Part, Repeater
+from fishrl.physics.flow import FlowConfig, make_params
 from fishrl.physics.levels.grids import Level
-from fishrl.physics.levels.patch import RING
+
+Allocate = Callable[[int], Tensor]
 
 
-@dataclass(eq=False)
 class Grid:
-    """One grid of all flows, and what passes between it and its parent."""
+    """One grid of all flows, in groups that advance together.
 
-    level: Level
-    batch: FlowBatch
-    origin: Tensor  #: ``[B, 2]`` int64, of a patch in its parent; the root's is 0
-    last: Tensor  #: ``[2]`` float64, (x, y) of the last node in its own nodes
-    parent: "Grid | None"
-    inside: list["Grid"] = field(default_factory=list)
-    transfers: tuple[Part, ...] = ()  #: filling, restriction in each step, and that of all nodes
+    Args:
+        levels: the grid in each flow.
+        group_size: flows per group.
+        device: where everything lives.
+        allocate: makes the block of memory, from its size in bytes.
 
-    def walk(self) -> Iterator["Grid"]:
-        """Yield this grid and all inside it, coarser ones first."""
-        yield self
-        for patch in self.inside:
-            yield from patch.walk()
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in its own nodes."""
-        return self.level.frame.size
-
-    def find_corner(self) -> Tensor:
-        """Return the place ``[B, 2]`` of the first node, in nodes of the finest level."""
-        if self.parent is None:
-            return self.origin
-        return self.parent.find_corner() + self.parent.level.spacing * self.origin
-
-    def bind(self, part: Part, number: int) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
-        """Return a transfer's arguments for a group, before even and odd steps of the parent."""
-        assert self.parent is not None
-        origin = self.origin[self.batch.rows_of(number)]
-        parent = self.parent.batch.memory_of(number)
-        return part.bind(PatchMemory(self.batch.memory_of(number), parent, origin))
-
-
-def find_moving(grid: Grid, number: int, by: Tensor) -> Moving:
-    """Return a group's patch that follows a body, and moves by ``by`` ``[B, 2]``."""
-    own = grid.batch.memory_of(number)
-    origin = grid.origin[grid.batch.rows_of(number)]
-    return Moving(own.incoming(0), origin, by, own.flow.bodies)
-
-
-def read_fluid(grid: Grid) -> Tensor:
-    """Return density and velocity of a grid ``[B, 3, Y, X]``."""
-    rho, u = grid.batch.macroscopic()
-    return torch.cat((rho[:, None], u), 1)
-
-
-def read_vorticity(grid: Grid, *, is_water: Tensor | None = None) -> Tensor:
-    """Return the vorticity of a grid ``[B, 1, Y, X]`` per step of the finest level.
-
-    ``is_water`` ``[B, Y, X]`` is of the nodes of the finest level.
+    Attributes:
+        level: the grid in the first flow.
+        flow: everything except the populations, changed in place.
+        origin: ``[B, 2]`` int64, of its first node in its parent; the root's is 0.
+        last: ``[2]`` float64, (x, y) of the last node in its own nodes.
+        groups: by their number in the batch.
+        parts: those of a step, in the order in which they run.
+        locate: finds bodies that stay still, or sharp skins, once before many steps.
+        check: finds out which flows are within the method.
     """
-    spacing, (width, height) = grid.level.spacing, grid.size
-    if is_water is None or spacing > 1:  # bodies are in the finest grids
-        return grid.batch.vorticity()[:, None] / spacing
-    places = zip(is_water, grid.find_corner().tolist(), strict=True)
-    own = [water[y : y + height, x : x + width] for water, (x, y) in places]
-    return grid.batch.vorticity(is_water=torch.stack(own))[:, None]
+
+    def __init__(
+        self,
+        levels: Sequence[Level],
+        *,
+        group_size: int,
+        device: torch.device,
+        allocate: Allocate,
+    ) -> None:
+        self.level, config, num_envs = levels[0], levels[0].config, len(levels)
+        self._size, has_field = group_size, bool(config.sponges)
+        self.layout = InPlaceLayout(num_envs=group_size, height=config.height, width=config.width)
+        fresh = make_fresh([level.config for level in levels], device)
+        self.flow, self._omega, self._populations = carve_memory(
+            fresh, self.layout, has_omega_field=has_field, allocate=allocate
+        )
+        self.origin = allocate(16 * num_envs).view(torch.int64).view(-1, 2)
+        sample = pytree.tree_map(lambda t: t[:group_size], fresh)
+        self.locate: Part | None = None
+        self.parts: list[Part] = [make_collision(config)]
+        if config.bodies:
+            self.locate, parts = make_skin_parts(config.skin, config, self.layout, sample)
+            self.parts += parts
+        if config.boundaries.list_crossings(config.height, config.width):
+            self.parts.append(make_crossing(config))
+        self.parts += [make_edges(config, sides, device) for sides in config.boundaries.in_order()]
+        self._is_fine = torch.zeros(group_size, dtype=torch.bool, device=device)
+        self.check = make_check(self._is_fine)
+        located = [self.locate] if self.locate and self.locate not in self.parts else []
+        every = [*self.parts, *located, self.check]
+        self.groups = [
+            FlowGroup(self.memory_of(number), every) for number in range(num_envs // group_size)
+        ]
+        self._checkers: list[Repeater] = []
+        last = [config.width - 1.0, config.height - 1.0]
+        self.last = torch.tensor(last, dtype=torch.float64, device=device)
+        slots = torch.tensor(self.layout.offsets(0, False), device=device)
+        self._slots = slots.view(-1, 1, 1, 1)  # of the nine populations
+
+    def memory_of(self, number: int) -> GroupMemory:
+        """Return a group's part of the memory."""
+        own = self.rows_of(number)
+        return GroupMemory(
+            layout=self.layout,
+            populations=self._populations[number],
+            omega=self._omega[own],
+            flow=pytree.tree_map(lambda t: t[own], self.flow),
+        )
+
+    def rows_of(self, number: int) -> slice:
+        """Return which flows of the batch are in a group."""
+        return slice(number * self._size, (number + 1) * self._size)
+
+    def set_omega_(self) -> None:
+        """Write the relaxation rates of the present parameters."""
+        omega = self.level.config.compute_omega(self.flow.params.tau)
+        if omega.shape[1:] == (1, 1):
+            self._omega.copy_(omega[:, 0])
+        else:
+            self._omega.fill_(1.0)
+            self.layout.strip_rings(self._omega).copy_(omega)
+
+    def list_step(self, number: int, parity: int) -> list[Bound]:
+        """Return the parts of an even (0) or odd (1) step in order, with a group's arguments."""
+        arguments = self.groups[number].arguments
+        return [(part, arguments[part][parity]) for part in self.parts]
+
+    def list_located(self, number: int) -> list[Bound]:
+        """Return what locates a group's bodies, as after an odd step."""
+        parts = [self.locate] if self.locate else []
+        return [(part, self.groups[number].arguments[part][1]) for part in parts]
+
+    def list_all(self, with_check: bool) -> list[Bound]:
+        """Return all parts with arguments, the longest not last: so processes end together."""
+        collision, *rest = self.groups[0].arguments
+        chosen = [part for part in rest if with_check or part is not self.check]
+        return [(part, self.groups[0].arguments[part][0]) for part in (*chosen, collision)]
+
+    def forget_checks(self) -> None:
+        """Let checks that ran before they were compiled be made again."""
+        self._checkers = []
+
+    def is_fine(self) -> Tensor:
+        """Return ``[B]``: whether density and speed are within the method, before an even step."""
+        if not self._checkers:
+            each = [(self.check, group.arguments[self.check][0]) for group in self.groups]
+            self._checkers = [Repeater([own]) for own in each]
+        found = []
+        for checker in self._checkers:
+            checker.run(1)
+            found.append(self._is_fine.clone())
+        return torch.cat(found)
+
+    def is_lost(self) -> Tensor:
+        """Return ``[B]``: the middle is not finite, which all of a diverged flow soon becomes."""
+        y, x = self.layout.height // 2, self.layout.width // 2
+        return torch.cat([~group.nodes[0][:, y, x].isfinite() for group in self.groups])
+
+    def fill_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
+        """Set all nodes of the flows in ``rows`` ``[B]`` bool to the populations ``[B]``."""
+        for number, group in enumerate(self.groups):
+            own = self.rows_of(number)
+            if rows.is_cuda or self._size > 1 or rows[own].item():
+                group.fill_(rows[own], [value[own] for value in f])
+
+    def write_(self, rows: Tensor, f: Tensor) -> None:
+        """Set populations; ``rows`` ``[N]`` are indices, or ``[B]`` bool, then ``f`` is of all."""
+        f = f.to(self._populations)
+        if rows.dtype == torch.bool:
+            for number, group in enumerate(self.groups):
+                part = self.rows_of(number)
+                group.merge_(rows[part], f[part])
+            return
+        for number in sorted(set((rows // self._size).tolist())):
+            is_own = rows // self._size == number
+            self.groups[number].write_(rows[is_own] % self._size, f[is_own])
+
+    def populations(self) -> Tensor:
+        """Return a copy of the incoming populations ``[B, Q, Y, X]``."""
+        return torch.cat([torch.stack(group.nodes, 1) for group in self.groups])
+
+    def read(self, rows: Tensor | None = None) -> Macroscopic:
+        """Return the fluid ``[N, Y, X]`` of the flows ``rows`` ``[B]``."""
+        fluids = []
+        for number, group in enumerate(self.groups):
+            nodes: Sequence[Tensor] = group.nodes
+            if rows is not None and not (own := rows[self.rows_of(number)]).all():
+                nodes = [f[own] for f in nodes]
+            fluids.append(compute_macroscopic(nodes))
+        return Macroscopic(*(torch.cat(each) for each in zip(*fluids, strict=True)))
+
+    def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Read density ``[B, P]`` and velocity ``[B, P, 2]`` between the nodes, bilinearly.
+
+        ``points`` ``[B, P, 2]`` (x, y) in nodes, before an even step: those outside the grid are
+        moved to its edge, and where one is NaN, so is the result.
+        """
+        layout, device, last = self.layout, points.device, self.last.to(points)
+        place = torch.minimum(points.nan_to_num().clamp_min(0.0), last)
+        first = torch.minimum(place.floor(), last - 1.0)
+        right, up = (place - first).float().unbind(-1)
+        x, y = first.long().unbind(-1)
+        node = y * layout.row_length + x
+        above = node + layout.row_length
+        corners = torch.stack((node, node + 1, above, above + 1), 1)
+        weights = torch.stack(
+            ((1 - up) * (1 - right), (1 - up) * right, up * (1 - right), up * right), 1
+        )
+        flow = torch.arange(len(points), device=device)[:, None, None]
+        group, own = flow // layout.num_envs, flow % layout.num_envs
+        cells = corners + own * layout.flow_length + layout.first_cell
+        stored = self._populations[group, cells + self._slots]
+        fluid = compute_macroscopic(stored.unbind())
+        values = torch.stack((fluid.rho, fluid.ux, fluid.uy), -1)
+        mean = (weights[..., None] * values).sum(1)
+        mean = mean.masked_fill(points.isnan().any(-1, keepdim=True), torch.nan)
+        return mean[..., 0], mean[..., 1:]
+
+    def name_state(self) -> dict[str, list[Tensor]]:
+        """Return populations ``f0`` to ``f8`` before an even step, and relaxation rates."""
+        nodes = zip(*(group.nodes for group in self.groups), strict=True)
+        populations = {f"f{q}": list(views) for q, views in enumerate(nodes)}
+        return {**populations, "omega": [self._omega]}
 
 
-def lay_together(
-    grids: Sequence[Grid], config: FlowConfig, read: Callable[[Grid], Tensor]
-) -> Tensor:
-    """Return values ``[B, C, Y, X]`` at nodes of the finest level, each of the finest grid there.
-
-    ``read`` returns those ``[B, C, Y, X]`` of a grid; between its nodes they are linear.
-    """
-    edges, spacing = config.boundaries, grids[0].level.spacing
-    wraps = isinstance(edges.left, Periodic), isinstance(edges.bottom, Periodic)
-    field = pad(read(grids[0]), (0, int(wraps[0]), 0, int(wraps[1])), mode="circular")
-    field = refine_field(field, spacing)[:, :, : config.height, : config.width]
-    for grid in grids[1:]:
-        own = refine_field(read(grid)[:, :, RING:-RING, RING:-RING], grid.level.spacing)
-        corner = grid.find_corner() + RING * grid.level.spacing
-        for row, (x, y) in enumerate(corner.tolist()):
-            field[row, :, y : y + own.shape[2], x : x + own.shape[3]] = own[row]
-    return field
-
-
-def refine_field(values: Tensor, factor: int) -> Tensor:
-    """Return values ``[B, C, Y, X]`` at ``factor`` times as many nodes, linear between theirs."""
-    height, width = (factor * (n - 1) + 1 for n in values.shape[-2:])
-    if factor == 1:
-        return values.clone()
-    return interpolate(values, size=(height, width), mode="bilinear", align_corners=True)
+def make_fresh(configs: Sequence[FlowConfig], device: torch.device) -> FlowData:
+    """Return the initial numbers of flows, with bodies at rest in the middle of the domain."""
+    zero = torch.zeros(len(configs), dtype=torch.float64, device=device)
+    middle = torch.tensor([0.5 * configs[0].width, 0.5 * configs[0].height]).double()
+    body = make_body(middle.to(device).expand(len(configs), 2), zero, zero)
+    return FlowData(zero, make_params(configs, device), tuple(body for _ in configs[0].bodies))

@@ -108,16 +108,12 @@ class FlowGroup:
     Attributes:
         nodes: the nine incoming populations ``[B, Y, X]`` before an even step.
         arguments: arguments of each part, at even and odd steps.
-        repeaters: what locates bodies before many steps, and the pair of steps, once made.
-        checker: the check, once it has been made.
     """
 
     def __init__(self, memory: GroupMemory, parts: Iterable[Part]) -> None:
         self._cells = memory.cells(0)
         self.nodes = memory.incoming(0)
         self.arguments = {part: part.bind(memory) for part in parts}
-        self.repeaters: tuple[Repeater, Repeater] | None = None
-        self.checker: Repeater | None = None
 
     def write_(self, rows: Tensor, f: Tensor) -> None:
         """Set the incoming populations ``[N, Q, Y, X]`` of the flows ``rows`` ``[N]``, indices."""

@@ -11,16 +11,18 @@ from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium
 from fishrl.physics.commands import Commands
-from fishrl.physics.fast.batch import list_configs, set_rows_
-from fishrl.physics.fast.checks import check_device, check_populations, check_tensor, read_frequency
+from fishrl.physics.fast.checks import (
+    check_device,
+    check_populations,
+    check_tensor,
+    list_configs,
+    read_frequency,
+)
 from fishrl.physics.fast.execution import Execution
+from fishrl.physics.fast.flow_memory import set_rows_
 from fishrl.physics.fast.part import Part
 from fishrl.physics.fast.watch import Watch
-from fishrl.physics.flow import (
-    FlowConfig,
-    change_stream_speed,
-    compute_stream_speed,
-)
+from fishrl.physics.flow import FlowConfig, change_stream_speed, compute_stream_speed
 from fishrl.physics.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 from fishrl.physics.placement import check_placement, find_water, lies_inside, spread_starts
@@ -323,7 +325,7 @@ class InPlaceSolver:
     @property
     def corners(self) -> Tensor:
         """``[B, G, 2]`` int64: first node (x, y) of each grid, in finest nodes; a copy."""
-        return self._batch.find_corners()
+        return torch.stack(self._batch.find_corners(), 1)
 
     def macroscopic(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Return density ``[N, Y, X]`` and velocity ``[N, 2, Y, X]`` of all flows or ``rows``."""

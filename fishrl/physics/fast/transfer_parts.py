@@ -10,7 +10,7 @@ from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.fast.flow_memory import GroupMemory
 from fishrl.physics.fast.part import Part, Repeater, copy_tree
 from fishrl.physics.fast.recording import Call
-from fishrl.physics.levels.grids import Frame, Level, find_middle, find_shift
+from fishrl.physics.levels.grids import Level, choose_shifts, find_middle
 from fishrl.physics.levels.patch import RING
 from fishrl.physics.levels.transfer import (
     FIRST_RESTRICTED,
@@ -125,16 +125,8 @@ def make_restriction(*, is_whole: bool) -> Part:
     return Part("restriction", collect, act, SETTINGS, any_grid=True)
 
 
-class Moving(NamedTuple):
-    """A group's patch that follows a body."""
-
-    nodes: list[Tensor]  #: nine incoming populations ``[B, Y, X]``
-    origin: Tensor  #: ``[B, 2]`` int64
-    by: Tensor  #: ``[B, 2]`` int64, nodes of the parent by which to move
-    bodies: tuple[BodyState, ...]  #: in it, if it is the finest
-
-
-Chain = list[Moving]  # around one body, coarsest first
+#: The grids around one body, coarsest first, and ``[n, B, 2]`` int64, nodes to move them by.
+Chain = tuple[list[PatchMemory], Tensor]
 
 
 def make_shift_choice(levels: Sequence[Level]) -> Part:
@@ -144,18 +136,12 @@ def make_shift_choice(levels: Sequence[Level]) -> Part:
     """
     frames, ahead = [level.frame for level in levels], levels[-1].ahead
 
-    def collect(memory: Chain, parity: int) -> tuple[Tensor, Tensor, list[Tensor], list[Tensor]]:
-        body = memory[-1].bodies[0]
-        origins, by = [m.origin for m in memory], [m.by for m in memory]
-        return body.position, body.heading, origins, by
+    def collect(memory: Chain, parity: int) -> tuple[BodyState, list[Tensor], list[Tensor]]:
+        grids, by = memory
+        return grids[-1].patch.flow.bodies[0], [grid.origin for grid in grids], [*by]
 
-    def act(position: Tensor, heading: Tensor, origins: list[Tensor], shifts: list[Tensor]) -> None:
-        place = find_middle(position, heading, ahead)
-        inside: list[tuple[Tensor, Frame]] = []
-        for frame, origin, by in reversed(list(zip(frames, origins, shifts, strict=True))):
-            chosen = find_shift(place, origin, frame, inside)
-            by.copy_(chosen)
-            place, inside = origin + 0.5 * place, [(origin + chosen, frame)]
+    def act(body: BodyState, origins: list[Tensor], shifts: list[Tensor]) -> None:
+        copy_tree(shifts, choose_shifts(find_middle(body, ahead), origins, frames))
 
     return Part("shift choice", collect, act, SETTINGS)
 
@@ -166,8 +152,10 @@ def make_moving(device: torch.device) -> Part:
     def collect(
         memory: Chain, parity: int
     ) -> tuple[list[list[Tensor]], list[Tensor], list[Tensor], list[Tensor]]:
-        nodes, origins, by, bodies = zip(*memory, strict=True)
-        return [*nodes], [*origins], [*by], [body.position for own in bodies for body in own]
+        grids, by = memory
+        nodes, origins = zip(*((own.patch.incoming(0), own.origin) for own in grids), strict=True)
+        positions = [body.position for own in grids for body in own.patch.flow.bodies]
+        return [*nodes], [*origins], [*by], positions
 
     def act(
         nodes: list[list[Tensor]], origins: list[Tensor], by: list[Tensor], positions: list[Tensor]

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from fishrl.children import CAN_START, start_child
-from fishrl.physics.fast.refined import make_batch
+from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.flow import FlowConfig
 
 
@@ -162,7 +162,7 @@ def compile_aside() -> None:
     """Compile what the parent has not begun to compile."""
     configs = pickle.load(sys.stdin.buffer)
     _begin()
-    batch = make_batch(
+    batch = FlowBatch(
         configs,
         group_size=1,
         device=torch.device("cpu"),
@@ -178,7 +178,7 @@ def serve() -> None:
     os.dup2(2, 1)  # nothing but answers may go to the pipe
     configs, group_size, file, compile = pickle.load(requests)
     _begin()
-    batch = make_batch(
+    batch = FlowBatch(
         configs, group_size=group_size, device=torch.device("cpu"), allocate=SharedMemory(file)
     )
     try:

@@ -1,4 +1,8 @@
-"""The grids of a flow with levels: each is an ordinary flow in its own nodes and steps."""
+"""The grids of a flow with levels: each is an ordinary flow in its own nodes and steps.
+
+They are numbered as in ``FlowConfig.list_grids``: the root, which is the coarsest, and then those
+of each patch, coarser ones first.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,19 +12,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundaries, Filled
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, PatchState
-from fishrl.physics.levels.patch import CLEARANCE, Patch, find_room, measure_patch
-from fishrl.physics.levels.transfer import (
-    choose_shift,
-    clamp_origin,
-    fill,
-    fill_all,
-    move,
-    restrict,
-)
+from fishrl.physics.levels.patch import CLEARANCE, Point, find_room, measure_patch
+from fishrl.physics.levels.transfer import clamp_origin, fill, fill_all, move, restrict
 
 Pair = tuple[int, int]
 FILLED = Boundaries(left=Filled(), right=Filled(), bottom=Filled(), top=Filled())
@@ -36,30 +32,17 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True)
 class Level:
-    """One grid of a flow, and those inside it."""
+    """One grid of a flow."""
 
     config: FlowConfig  #: of the grid as a flow; its tau is the finest level's
     spacing: int  #: of its nodes, in nodes of the finest level
-    patch: Patch | None  #: that it belongs to; None for the root
-    leader: BodyConfig | None  #: body that the patch follows
     frame: Frame
-    patches: tuple["Level", ...]
-
-    @property
-    def bodies(self) -> tuple[int, ...]:
-        """Numbers of the bodies that are in this grid itself."""
-        return self.patch.numbers if self.patch and not self.patches else ()
-
-    @property
-    def follows(self) -> bool:
-        """Whether it is a patch that may have to move."""
-        is_free = self.leader is not None and not self.leader.motion.is_still
-        return is_free and self.patch is not None and self.patch.centre is None
-
-    @property
-    def ahead(self) -> float:
-        """How far ahead of its centre of mass the body that is followed has its middle, nodes."""
-        return self.leader.centre - 0.5 * self.leader.size if self.leader else 0.0
+    bodies: tuple[int, ...] = ()  #: numbers of the bodies that are in this grid itself
+    parent: int = 0  #: number of the grid that it lies in
+    centre: Point | None = None  #: (x, y) of a patch that stays, in nodes of the finest level
+    leader: int = 0  #: number of the body that another patch follows
+    ahead: float = 0.0  #: how far ahead of its centre of mass that body has its middle, nodes
+    moves: bool = False  #: whether the patch may have to move
 
     def convert(self, params: FlowParams) -> FlowParams:
         """Return the parameters of a flow in the units of this grid."""
@@ -72,10 +55,12 @@ class Level:
 
 
 @cache
-def plan_levels(config: FlowConfig) -> Level:
-    """Return the root of a flow's grids."""
-    spacing = config.coarsest_spacing
-    width, height = config.coarsest_size
+def plan_levels(config: FlowConfig) -> tuple[Level, ...]:
+    """Return the grids of a flow."""
+    spacing, size = config.coarsest_spacing, config.coarsest_size
+    frame = Frame(size, (0, 0), (0, 0))
+    if config.levels == 1:
+        return (Level(config, 1, frame, tuple(range(len(config.bodies)))),)
     sponges = tuple(
         replace(
             sponge,
@@ -84,190 +69,205 @@ def plan_levels(config: FlowConfig) -> Level:
         )
         for sponge in config.sponges
     )
+    width, height = size
     root = replace(
         config, width=width, height=height, sponges=sponges, bodies=(), levels=1, patches=()
     )
-    patches = tuple(_plan_patch(config, patch) for patch in config.refined)
-    return Level(root, spacing, None, None, Frame((width, height), (0, 0), (0, 0)), patches)
+    grids = [Level(root, spacing, frame)]
+    for patch in config.refined:
+        low, high = find_room(patch, config.levels, config.list_bounds())
+        leader = config.bodies[patch.numbers[0]] if patch.centre is None else None
+        sizes = measure_patch(patch, config.bodies, config.levels, config.list_bounds())
+        for depth, (width, height) in enumerate(sizes, 1):
+            bodies = patch.numbers if depth == len(sizes) else ()
+            grid = replace(
+                root,
+                width=width,
+                height=height,
+                boundaries=FILLED,
+                sponges=(),
+                bodies=tuple(config.bodies[index] for index in bodies),
+            )
+            frame = Frame((width, height), low, (high[0] - width // 2, high[1] - height // 2))
+            own = Level(grid, spacing >> depth, frame, bodies, len(grids) - 1 if depth > 1 else 0)
+            if leader is None:
+                grids.append(replace(own, centre=patch.centre))
+            else:
+                ahead, moves = leader.centre - 0.5 * leader.size, not leader.motion.is_still
+                grids.append(replace(own, leader=patch.numbers[0], ahead=ahead, moves=moves))
+            low, high = (CLEARANCE,) * 2, (width - 1 - CLEARANCE, height - 1 - CLEARANCE)
+    return tuple(grids)
 
 
-def _plan_patch(config: FlowConfig, patch: Patch) -> Level:
-    """Return the coarsest grid of a patch, with the finer ones in it."""
-    inside: tuple[Level, ...] = ()
-    sizes = measure_patch(patch, config.bodies, config.levels, config.list_bounds())
-    leader = config.bodies[patch.numbers[0]] if patch.bodies else None
-    for number, (width, height) in reversed(list(enumerate(sizes))):
-        if number:
-            parent = sizes[number - 1]
-            low = CLEARANCE, CLEARANCE
-            high = parent[0] - 1 - CLEARANCE, parent[1] - 1 - CLEARANCE
-        else:
-            low, high = find_room(patch, config.levels, config.list_bounds())
-        bodies = () if inside else tuple(config.bodies[index] for index in patch.numbers)
-        grid = replace(
-            config,
-            width=width,
-            height=height,
-            boundaries=FILLED,
-            sponges=(),
-            bodies=bodies,
-            levels=1,
-            patches=(),
-        )
-        last = high[0] - width // 2, high[1] - height // 2
-        spacing = 2 ** (len(sizes) - 1 - number)
-        frame = Frame((width, height), low, last)
-        inside = (Level(grid, spacing, patch, leader, frame, inside),)
-    return inside[0]
+def list_chains(levels: Sequence[Level]) -> list[list[int]]:
+    """Return the numbers of the grids of each patch, coarser ones first."""
+    chains: list[list[int]] = []
+    for number, level in enumerate(levels[1:], 1):
+        if level.parent == 0:
+            chains.append([])
+        chains[-1].append(number)
+    return chains
 
 
-def make_patches(state: FlowState, config: FlowConfig, params: FlowParams) -> FlowState:
-    """Return a flow whose patches lie around its bodies, filled by the coarsest level."""
-    return _make_inside(state, plan_levels(config), params, state.bodies, _start(state))
+def find_corners(levels: Sequence[Level], origins: Sequence[Tensor]) -> list[Tensor]:
+    """Return the place ``[B, 2]`` of the first node of each grid, in nodes of the finest level."""
+    corners = [origins[0]]
+    for level, origin in zip(levels[1:], origins[1:], strict=True):
+        corners.append(corners[level.parent] + levels[level.parent].spacing * origin)
+    return corners
 
 
-def _make_inside(
-    state: FlowState,
-    level: Level,
-    params: FlowParams,
-    bodies: tuple[BodyState, ...],
-    corner: Tensor,
-) -> FlowState:
-    patches = []
-    for finer in level.patches:
-        place = (find_point(finer, bodies, corner) - corner) / level.spacing
-        origin = place_patch(place, finer.frame)
-        flow = FlowState(fill_all(finer.frame.size, state.f, origin, finer.convert(params).tau))
-        own = corner + level.spacing * origin
-        patches.append(PatchState(_make_inside(flow, finer, params, bodies, own), origin))
-    return state._replace(patches=tuple(patches))
+def place_patches(
+    levels: Sequence[Level], bodies: Sequence[BodyState], like: Tensor
+) -> list[Tensor]:
+    """Return the origins ``[B, 2]`` of all grids with which bodies are in the middle of patches.
 
-
-def place_patch(place: Tensor, frame: Frame) -> Tensor:
-    """Return the origin ``[B, 2]`` of a patch around a place in its parent's nodes."""
-    first = [p - 0.5 * (n // 2) for p, n in zip(place.unbind(-1), frame.size, strict=True)]
-    origin = torch.stack(first, -1).nan_to_num().round().long()
-    return clamp_origin(origin, frame.low, frame.high)
+    ``like`` ``[B, ...]`` tells their number and device.
+    """
+    origins = [torch.zeros(len(like), 2, dtype=torch.int64, device=like.device)]
+    for number, level in enumerate(levels[1:], 1):
+        corner = find_corners(levels[:number], origins)[level.parent]
+        place = (find_point(level, bodies, like) - corner) / levels[level.parent].spacing
+        first = [
+            p - 0.5 * (n // 2) for p, n in zip(place.unbind(-1), level.frame.size, strict=True)
+        ]
+        origin = torch.stack(first, -1).nan_to_num().round().long()
+        origins.append(clamp_origin(origin, level.frame.low, level.frame.high))
+    return origins
 
 
 def find_point(level: Level, bodies: Sequence[BodyState], like: Tensor) -> Tensor:
     """Return the point ``[B, 2]`` that a patch keeps in its middle, in finest nodes."""
-    assert level.patch is not None
-    if level.leader is None or level.patch.centre is not None:
-        assert level.patch.centre is not None
-        at = [like.new_full(like.shape[:1], c, dtype=torch.float64) for c in level.patch.centre]
-        return torch.stack(at, -1)
-    state = bodies[level.patch.numbers[0]]
-    return find_middle(state.position, state.heading, level.ahead)
+    if level.centre is None:
+        return find_middle(bodies[level.leader], level.ahead)
+    return like.new_tensor(level.centre, dtype=torch.float64).expand(len(like), 2)
 
 
-def find_middle(position: Tensor, heading: Tensor, ahead: float) -> Tensor:
+def find_middle(body: BodyState, ahead: float) -> Tensor:
     """Return the point ``[B, 2]`` that lies ``ahead`` of a body's centre of mass."""
-    axis = torch.stack((torch.cos(heading), torch.sin(heading)), -1)
-    return (position + ahead * axis).detach()
+    axis = torch.stack((torch.cos(body.heading), torch.sin(body.heading)), -1)
+    return (body.position + ahead * axis).detach()
 
 
-def shift(state: FlowState, level: Level, params: FlowParams) -> FlowState:
-    """Return a flow whose patches have moved by a node of their parents where that is due."""
-    return _shift_inside(state, level, params, state.bodies, _start(state))
+def choose_shifts(
+    place: Tensor, origins: Sequence[Tensor], frames: Sequence[Frame]
+) -> list[Tensor]:
+    """Return by how many parent nodes ``[B, 2]`` to move the grids of a patch: -1, 0, 1 each.
+
+    A grid moves when the followed ``place`` ``[B, 2]``, given in nodes of the finest, is more than
+    two of its nodes from its middle, as far as its bounds and those of the next finer one allow.
+
+    Args:
+        place: where the body is.
+        origins: ``[B, 2]`` of each grid, coarser ones first.
+        frames: of each grid.
+    """
+    shifts: list[Tensor] = []
+    inside: tuple[Tensor, Frame] | None = None
+    for origin, frame in reversed(list(zip(origins, frames, strict=True))):
+        # numbers, as compiled code keeps no constant tensors
+        ahead = [p - 0.5 * (n - 1) for p, n in zip(place.unbind(-1), frame.size, strict=True)]
+        wanted = torch.stack([(d > 2.0).long() - (d < -2.0).long() for d in ahead], -1)
+        by = clamp_origin(origin + wanted, frame.low, frame.high) - origin
+        if inside is not None:
+            after = inside[0] - 2 * by
+            by = torch.where(clamp_origin(after, *inside[1][1:]) == after, by, 0)
+        shifts.insert(0, by)
+        place, inside = origin + 0.5 * place, (origin + by, frame)
+    return shifts
 
 
-def _shift_inside(
-    state: FlowState,
-    level: Level,
-    params: FlowParams,
-    bodies: tuple[BodyState, ...],
-    corner: Tensor,
-) -> FlowState:
-    moved = []
-    state = fill_patches(state, level, params)  # what lies in the ring moves inwards
-    for (flow, origin), finer in zip(state.patches, level.patches, strict=True):
-        start = corner + level.spacing * origin
-        flow = _shift_inside(flow, finer, params, bodies, start)
-        place = (find_point(finer, bodies, corner) - start) / finer.spacing
-        inside = [
-            (patch.origin, own.frame)
-            for patch, own in zip(flow.patches, finer.patches, strict=True)
-        ]
-        by = find_shift(place, origin, finer.frame, inside)
-        moved.append(move_patch(PatchState(flow, origin), by))
-    return state._replace(patches=tuple(moved))
+def make_patches(state: FlowState, config: FlowConfig, params: FlowParams) -> FlowState:
+    """Return a flow whose patches lie around its bodies, filled by the coarsest level."""
+    levels, grids = plan_levels(config), [state.f]
+    origins = place_patches(levels, state.bodies, state.f)
+    for level, origin in zip(levels[1:], origins[1:], strict=True):
+        tau = level.convert(params).tau
+        grids.append(fill_all(level.frame.size, grids[level.parent], origin, tau))
+    return state._replace(patches=tuple(map(PatchState, grids[1:], origins[1:])))
 
 
-def find_shift(
-    place: Tensor, origin: Tensor, frame: Frame, inside: Sequence[tuple[Tensor, Frame]]
-) -> Tensor:
-    """Return ``choose_shift`` of a patch, as far as those inside it allow, by their origins."""
-    by = choose_shift(place, origin, *frame)
-    for own, finer in inside:
-        after = own - 2 * by
-        by = torch.where(clamp_origin(after, finer.low, finer.high) == after, by, 0)
-    return by
+class Grids:
+    """The grids of a batch of flows within a readable step.
 
+    Attributes:
+        levels: the grids.
+        params: parameters of each.
+        origins: place ``[B, 2]`` of each in its parent.
+        flows: each as a flow in its own nodes and steps, with the bodies in it.
+    """
 
-def move_patch(patch: PatchState, by: Tensor) -> PatchState:
-    """Return a patch moved by nodes of its parent ``[B, 2]``, while those inside stay in place."""
-    flow, origin = patch
-    inside = tuple(p._replace(origin=p.origin - 2 * by) for p in flow.patches)
-    f = torch.stack(move(flow.f.unbind(1), by), 1)
-    return PatchState(flow._replace(f=f, patches=inside), origin + by)
+    def __init__(self, state: FlowState, config: FlowConfig, params: FlowParams) -> None:
+        self.levels = plan_levels(config)
+        self.params = [level.convert(params) for level in self.levels]
+        zero = torch.zeros(len(state.f), 2, dtype=torch.int64, device=state.f.device)
+        self.origins = [zero, *(patch.origin for patch in state.patches)]
+        grids = state.f, *(patch.f for patch in state.patches)
+        corners = find_corners(self.levels, self.origins)
+        self.flows = []
+        for level, f, corner in zip(self.levels, grids, corners, strict=True):
+            own = [state.bodies[index] for index in level.bodies]
+            bodies = tuple(body._replace(position=body.position - corner) for body in own)
+            self.flows.append(FlowState(f, bodies))
+        if state.clock is not None:
+            clock = state.clock / self.levels[0].spacing
+            self.flows[0] = self.flows[0]._replace(clock=clock)
 
+    def collect(self) -> FlowState:
+        """Return the flows, with bodies and clock in nodes and steps of the finest level."""
+        bodies: dict[int, BodyState] = {}
+        for level, flow, corner in zip(
+            self.levels, self.flows, find_corners(self.levels, self.origins), strict=True
+        ):
+            for index, body in zip(level.bodies, flow.bodies, strict=True):
+                bodies[index] = body._replace(position=body.position + corner)
+        f, _, clock, _ = self.flows[0]
+        return FlowState(
+            f,
+            bodies=tuple(bodies[index] for index in sorted(bodies)),
+            clock=None if clock is None else clock * self.levels[0].spacing,
+            patches=tuple(
+                PatchState(flow.f, origin)
+                for flow, origin in zip(self.flows[1:], self.origins[1:], strict=True)
+            ),
+        )
 
-def fill_patches(state: FlowState, level: Level, params: FlowParams) -> FlowState:
-    """Return a flow that has filled the rings of the patches in it."""
-    patches = []
-    for (flow, origin), finer in zip(state.patches, level.patches, strict=True):
-        f = fill(flow.f, state.f, origin, finer.convert(params).tau)
-        patches.append(PatchState(flow._replace(f=f), origin))
-    return state._replace(patches=tuple(patches))
+    def list_inside(self, number: int) -> list[int]:
+        """Return the numbers of the grids that lie directly in a grid."""
+        return [n for n, level in enumerate(self.levels) if n and level.parent == number]
 
+    def fill(self, number: int) -> None:
+        """Let the parent of a grid fill its ring."""
+        f, parent = self.flows[number].f, self.flows[self.levels[number].parent].f
+        filled = fill(f, parent, self.origins[number], self.params[number].tau)
+        self.flows[number] = self.flows[number]._replace(f=filled)
 
-def restrict_patches(state: FlowState, level: Level, params: FlowParams) -> FlowState:
-    """Return a flow whose nodes under the patches in it have their moments."""
-    f = state.f
-    for (flow, origin), finer in zip(state.patches, level.patches, strict=True):
-        f = restrict(f, flow.f, origin, finer.convert(params).tau)
-    return state._replace(f=f)
+    def restrict(self, number: int) -> None:
+        """Give the nodes under a grid its moments."""
+        parent, f = self.levels[number].parent, self.flows[number].f
+        taken = restrict(self.flows[parent].f, f, self.origins[number], self.params[number].tau)
+        self.flows[parent] = self.flows[parent]._replace(f=taken)
 
+    def shift(self) -> None:
+        """Move patches after their bodies, by a node of their parents, where that is due."""
+        for number in range(1, len(self.levels)):
+            self.fill(number)  # what lies in the ring moves inwards
+        for chain in list_chains(self.levels):
+            finest = self.levels[chain[-1]]
+            if finest.moves:
+                place = find_middle(self.flows[chain[-1]].bodies[0], finest.ahead)
+                origins, frames = zip(
+                    *((self.origins[n], self.levels[n].frame) for n in chain), strict=True
+                )
+                self.move(chain, choose_shifts(place, origins, frames))
 
-def hand_down(state: FlowState, level: Level) -> FlowState:
-    """Return a flow with each body in its finest grid, each grid in its own nodes and steps."""
-    clock = None if state.clock is None else state.clock / level.spacing
-    return _hand_down(state._replace(clock=clock), level, state.bodies, _start(state))
-
-
-def _hand_down(
-    state: FlowState, level: Level, bodies: tuple[BodyState, ...], corner: Tensor
-) -> FlowState:
-    patches = []
-    for (flow, origin), finer in zip(state.patches, level.patches, strict=True):
-        flow = _hand_down(flow, finer, bodies, corner + level.spacing * origin)
-        patches.append(PatchState(flow, origin))
-    own = [bodies[index] for index in level.bodies]
-    own = [body._replace(position=body.position - corner) for body in own]
-    return state._replace(bodies=tuple(own), patches=tuple(patches))
-
-
-def hand_up(state: FlowState, level: Level) -> FlowState:
-    """Return what ``hand_down`` was given: bodies and clock in nodes and steps of the finest."""
-    bodies: dict[int, BodyState] = {}
-    state = _hand_up(state, level, bodies, _start(state))
-    clock = None if state.clock is None else state.clock * level.spacing
-    return state._replace(bodies=tuple(bodies[i] for i in sorted(bodies)), clock=clock)
-
-
-def _hand_up(
-    state: FlowState, level: Level, bodies: dict[int, BodyState], corner: Tensor
-) -> FlowState:
-    for index, body in zip(level.bodies, state.bodies, strict=True):
-        bodies[index] = body._replace(position=body.position + corner)
-    patches = []
-    for (flow, origin), finer in zip(state.patches, level.patches, strict=True):
-        flow = _hand_up(flow, finer, bodies, corner + level.spacing * origin)
-        patches.append(PatchState(flow._replace(clock=None), origin))
-    return state._replace(bodies=(), patches=tuple(patches))
-
-
-def _start(state: FlowState) -> Tensor:
-    """Return the place ``[B, 2]`` of the root's first node."""
-    return torch.zeros(len(state.f), 2, dtype=torch.int64, device=state.f.device)
+    def move(self, chain: Sequence[int], shifts: Sequence[Tensor]) -> None:
+        """Move the grids of a patch by nodes of their parents ``[B, 2]``, coarser ones first."""
+        outer = torch.zeros_like(shifts[0])
+        for number, by in zip(chain, shifts, strict=True):
+            flow = self.flows[number]
+            f = torch.stack(move(flow.f.unbind(1), by), 1)
+            own = (body._replace(position=body.position - 2 * by) for body in flow.bodies)
+            self.flows[number] = flow._replace(f=f, bodies=tuple(own))
+            self.origins[number] = self.origins[number] + by - 2 * outer
+            outer = by

@@ -91,20 +91,6 @@ def fill_ring(f: Sequence[Tensor], tau: Tensor) -> Tensor:
     return torch.stack(rebuild(Moments(*nodes), _compute_ratio(tau, nodes[0]), 0.5))
 
 
-def refine(f: Sequence[Tensor], tau: Tensor) -> list[Tensor]:
-    """Return a patch's populations from those of its parent's nodes, one more beyond each end.
-
-    Args:
-        f: nine populations of the parent, ``[B, ny + 3, nx + 3]``.
-        tau: relaxation time of the patch, ``[B]``.
-
-    Returns:
-        Nine ``[B, 2 ny + 1, 2 nx + 1]``.
-    """
-    between = (_interpolate(_interpolate(m.mT).mT) for m in measure_moments(f))
-    return rebuild(Moments(*between), _compute_ratio(tau, f[0]), 0.5)
-
-
 def coarsen(f: Sequence[Tensor], tau: Tensor) -> list[Tensor]:
     """Return the parent's populations at a patch's nodes ``[B, ...]``; ``tau`` is the patch's."""
     return rebuild(measure_moments(f), 1.0 / _compute_ratio(tau, f[0]), 2.0)
@@ -149,8 +135,9 @@ def fill_all(size: tuple[int, int], parent: Tensor, origin: Tensor, tau: Tensor)
     Arguments are as for ``fill``.
     """
     row = parent.shape[-1]
-    cells = add(count(origin, row), list_parents(*size, row))
-    return torch.stack(refine(read(parent.flatten(2).unbind(1), cells), tau), 1)
+    f = read(parent.flatten(2).unbind(1), add(count(origin, row), list_parents(*size, row)))
+    between = (_interpolate(_interpolate(m.mT).mT) for m in measure_moments(f))
+    return torch.stack(rebuild(Moments(*between), _compute_ratio(tau, f[0]), 0.5), 1)
 
 
 def list_restricted(planes: Sequence[Tensor]) -> list[Tensor]:
@@ -178,24 +165,6 @@ def move(f: Sequence[Tensor], shift: Tensor) -> list[Tensor]:
         for by, num in zip(shift.unbind(-1), (width, height), strict=True)
     )
     return read([g.flatten(1) for g in f], y[:, :, None] * width + x[:, None])
-
-
-def choose_shift(
-    point: Tensor,
-    origin: Tensor,
-    size: tuple[int, int],
-    low: tuple[int, int],
-    high: tuple[int, int],
-) -> Tensor:
-    """Return by how many parent nodes ``[B, 2]`` to move a patch: -1, 0 or 1 along x and y.
-
-    It moves when the followed ``point`` ``[B, 2]``, in nodes of the patch, is more than two of them
-    from its middle, while its ``origin`` stays within ``low`` and ``high``.
-    """
-    # numbers, as compiled code keeps no constant tensors
-    ahead = [p - 0.5 * (n - 1) for p, n in zip(point.unbind(-1), size, strict=True)]
-    wanted = torch.stack([(d > 2.0).long() - (d < -2.0).long() for d in ahead], -1)
-    return clamp_origin(origin + wanted, low, high) - origin
 
 
 def clamp_origin(origin: Tensor, low: tuple[int, int], high: tuple[int, int]) -> Tensor:

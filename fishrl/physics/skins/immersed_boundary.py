@@ -177,13 +177,16 @@ def couple_bodies(
                     values[axis] = values[axis] + weight * response
     moved = []
     for m, (body, surface, at) in enumerate(zip(bodies, surfaces, own, strict=True)):
-        mine = [change for (k, _), change in zip(freedoms, changes, strict=True) if k == m]
+        rates = list(surface.rates)
+        for (k, free), change in zip(freedoms, changes, strict=True):
+            if k == m:
+                rates[free.axis] = rates[free.axis] + change
         after = move_body(
             body,
             params[m],
             states[m],
             geometry.outlines[m],
-            surface.change_rates(mine),
+            rates,
             force=((mass * g[0])[:, at], (mass * g[1])[:, at]),
             slip=(slip[0][:, at], slip[1][:, at]),
         )

@@ -22,7 +22,6 @@ from fishrl.physics import BounceBack, Cylinder, Fish, FlowConfig, ImmersedBound
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.fast.part import Repeater
-from fishrl.physics.fast.refined import RefinedBatch
 from tests.physics.flows import start_solver
 
 IS_PRETENDED = "device" in sys.modules
@@ -118,10 +117,8 @@ def test_flow_on_a_gpu_equals_that_on_a_cpu(name: str, parts: list[int], toleran
         assert compute_error(body.position, expected.position) < tolerance
     assert not there.is_diverged().any()
     if IS_PRETENDED:
-        batch = there._batch
-        is_refined = isinstance(batch, RefinedBatch)
-        repeater = batch._repeaters[0] if is_refined else batch.first.repeaters[1]
-        for num_pairs, graph in repeater._graphs.items():
+        _, pair, _ = there._batch._repeaters[0]
+        for num_pairs, graph in pair._graphs.items():
             assert len(graph.calls) <= 2 * num_pairs * MOST_LAUNCHES[name]
 
 

@@ -78,12 +78,12 @@ def test_levels_in_place_equal_readable_steps(changes: dict[str, Any], skin: Ski
     origin = exact.patches[0].origin
     solver.advance_(6 * 2**config.levels)
     exact = advance(exact, config, 12)
-    root, patch, *_ = solver._batch._grids
+    root, patch, *_ = solver._batch.grids
     can_move = isinstance(skin, BounceBack) and not config.patches
     assert bool((exact.patches[0].origin != origin).any()) == can_move
     assert torch.equal(patch.origin, exact.patches[0].origin)
-    assert (root.batch.populations() - exact.f).abs().max() < 2e-7
-    inside = [f[..., 2:-2, 2:-2] for f in (patch.batch.populations(), exact.patches[0].flow.f)]
+    assert (root.populations() - exact.f).abs().max() < 2e-7
+    inside = [f[..., 2:-2, 2:-2] for f in (patch.populations(), exact.patches[0].f)]
     assert (inside[0] - inside[1]).abs().max() < 2e-7
     for body, expected in zip(solver.bodies, exact.bodies, strict=True):
         torch.testing.assert_close(body.position, expected.position, rtol=0.0, atol=1e-5)
@@ -164,7 +164,7 @@ def test_patches_that_meet_are_refused_and_end_their_flow() -> None:
     near[0, 1, 0] = 150.0
     solver.reset_(every, near, heading)
     assert not solver.is_diverged().any()
-    solver._batch._grids[1].origin[0, 0] += 20
+    solver._batch.grids[1].origin[0, 0] += 20
     assert solver.is_diverged().all()
 
 
@@ -181,10 +181,10 @@ def test_bodies_beyond_their_patch_are_refused_and_end_their_flow() -> None:
 def test_reset_puts_patches_around_the_new_place() -> None:
     solver = start(make_config(), 2)
     solver.advance_(40)
-    before = solver._batch._grids[1].origin.clone()
+    before = solver._batch.grids[1].origin.clone()
     rows = torch.tensor([False, True])
     solver.reset_(rows, torch.tensor([[0.0, 0.0], [100.0, 40.0]]), torch.zeros(2))
-    origin = solver._batch._grids[1].origin
+    origin = solver._batch.grids[1].origin
     assert torch.equal(origin[0], before[0]) and not torch.equal(origin[1], before[1])
     solver.advance_(8)
     assert not solver.is_diverged().any()

@@ -17,7 +17,7 @@ from tests.physics.flows import make_tank
 
 def list_unrecorded(solver: InPlaceSolver, parts: Iterable[Part]) -> list[str]:
     """Return the parts whose recording is the part itself."""
-    arguments = solver._batch.first.arguments
+    arguments = solver._batch.grids[0].groups[0].arguments
     return [p.name for p in parts if p.record(arguments[p][0])[0].func == p.run]
 
 
@@ -36,17 +36,16 @@ def test_recorded_steps_equal_launched_ones_bit_for_bit(
     recorded, launched = (make_solver(make_tank(**CHANGES[name]), compile=True) for _ in range(2))
     recorded.advance_(20)
     launched.compile()
-    stepper = launched._batch.stepper
-    for group in launched._batch.groups.values():
-        if stepper.locate is not None:
-            stepper.locate.run(*group.arguments[stepper.locate][1])
-        steps = [*stepper.list_step(group, 0), *stepper.list_step(group, 1)]
-        Repeater(steps).launch(10)
+    (grid,) = launched._batch.grids
+    for number in range(len(grid.groups)):
+        Repeater(grid.list_located(number)).launch(1)
+        Repeater([*grid.list_step(number, 0), *grid.list_step(number, 1)]).launch(10)
     after = launched.state_dict()
     for key, value in recorded.state_dict().items():
         assert torch.equal(value, after[key]), key
-    assert list_unrecorded(recorded, recorded._batch.stepper.parts) == unrecorded
-    for part in recorded._batch.stepper.list_all():
+    (grid,) = recorded._batch.grids
+    assert list_unrecorded(recorded, grid.parts) == unrecorded
+    for part in grid.groups[0].arguments:
         monkeypatch.setattr(part, "run", None)
     recorded.advance_(20)  # calls none of them
 
@@ -62,7 +61,7 @@ def test_every_part_of_every_preset_and_task_is_recorded() -> None:
         new = [part for part, _ in solver.list_calls() if part.key not in known]
         known |= {part.key for part in new}
         for part in new:
-            part.compile(solver._batch.first.arguments[part][0])
+            part.compile(solver._batch.grids[0].groups[0].arguments[part][0])
         assert list_unrecorded(solver, [p for p in new if p.name != "crossing"]) == [], word
 
 

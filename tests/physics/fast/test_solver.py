@@ -137,10 +137,10 @@ def test_many_steps_in_place_and_one_more_equal_readable_steps(name: str, num_st
     reference = advance(read_state(solver), config, num_steps)
     solver.advance_(num_steps)
     assert_equal_to_reference(solver, reference, tolerance=5e-5 if num_steps == 400 else 5e-6)
-    batch = solver._batch
-    for part in batch.stepper.parts:
-        part.run(*batch.first.arguments[part][0])
-    after_odd = torch.stack(batch.memory_of(0).incoming(1), 1)
+    (grid,) = solver._batch.grids
+    for part, tensors in grid.list_step(0, 0):
+        part.run(*tensors)
+    after_odd = torch.stack(grid.memory_of(0).incoming(1), 1)
     error = (after_odd - step(reference, config).f).abs().max() / reference.f.abs().max()
     assert float(error) < 5e-5
 

@@ -214,8 +214,7 @@ def test_paths_that_no_command_can_hold_are_refused(
 
 
 def list_parts(config: FlowConfig) -> list[tuple[Part, Sequence[torch.Tensor]]]:
-    batch = make_solver(config, slice(1))._batch
-    return [(part, batch.first.arguments[part][0]) for part in batch.stepper.list_all()]
+    return make_solver(config, slice(1))._batch.grids[0].list_all(True)
 
 
 #: Flows of one batch may differ in these.

@@ -96,13 +96,14 @@ def find_processes(mark: str) -> set[int]:
 
 def test_flows_are_checked_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     solver, threads, before = make_solver(0), list[int](), torch.get_num_threads()
-    check = solver._batch.stepper.is_fine
+    (grid,) = solver._batch.grids
+    check = grid.check.run
 
-    def count(*arguments: Any) -> torch.Tensor:
+    def count(*arguments: Any) -> None:
         threads.append(torch.get_num_threads())
-        return check(*arguments)
+        check(*arguments)
 
-    monkeypatch.setattr(solver._batch.stepper, "is_fine", count)
+    monkeypatch.setattr(grid.check, "run", count)
     torch.set_num_threads(2)
     try:
         assert not solver.is_diverged().any()
@@ -208,7 +209,7 @@ def test_an_interrupt_leaves_no_worker_with_an_answer_that_nobody_has_read(
 @pytest.mark.usefixtures("heeds_ctrl_c")
 def test_flow_interrupted_within_step_cannot_continue(monkeypatch: pytest.MonkeyPatch) -> None:
     solver = make_solver(0)
-    part = solver._execution.batch.stepper.parts[-1]
+    part = solver._execution.batch.grids[0].parts[-1]
     monkeypatch.setattr(part, "run", lambda *tensors: signal.raise_signal(signal.SIGINT))
     with pytest.raises(KeyboardInterrupt):
         solver.advance_(2)
