@@ -250,10 +250,7 @@ class FlowEnv(EnvBase):
                 "append the transform that writes it (make_env(transforms=[...])), or configure "
                 "the task not to read it"
             )
-        return {
-            name: tensordict[name].reshape(self.batch_size)
-            for name in self._decision.history.inputs
-        }
+        return {name: tensordict[name].reshape(self.batch_size) for name in names}
 
     @property
     def seed(self) -> int:

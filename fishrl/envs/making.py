@@ -96,20 +96,11 @@ def make_env(
         raise ValueError(f"task = {task!r}: must be an instance of a task, such as Predation()")
     if recognition is not None:
         task = recognition.check(task)
-    observed, stacked, seen, seen_stacked, action, mask = (
-        name_entry(task, name)
-        for name in (
-            "observation",
-            "observation_stack",
-            "critic_observation",
-            "critic_stack",
-            "action",
-            "action_mask",
-        )
-    )
-    of_critics = CatFrames(
-        N=task.critic_num_stacked, dim=-1, in_keys=[seen], out_keys=[seen_stacked]
-    )
+
+    def stack(num: int, name: str, stacked: str) -> CatFrames:
+        own, to = name_entry(task, name), name_entry(task, stacked)
+        return CatFrames(N=num, dim=-1, in_keys=[own], out_keys=[to])
+
     env = StableEnv(
         FlowEnv(
             task=task,
@@ -126,9 +117,12 @@ def make_env(
         RewardSum(),
         *(recognition.transforms(task) if recognition is not None else ()),
         *transforms,
-        CatFrames(N=task.num_stacked, dim=-1, in_keys=[observed], out_keys=[stacked]),
-        *([of_critics] if task.critic_senses else []),
-        *([ActionMask(action, mask)] if task.action_bounds is None else []),
+        stack(task.num_stacked, "observation", "observation_stack"),
     ):
         env.append_transform(transform)
+    if task.critic_senses:
+        env.append_transform(stack(task.critic_num_stacked, "critic_observation", "critic_stack"))
+    if task.action_bounds is None:
+        action, mask = name_entry(task, "action"), name_entry(task, "action_mask")
+        env.append_transform(ActionMask(action, mask))
     return env

@@ -1,7 +1,7 @@
 """What is drawn of every task: the flow, the bodies and forces, the edges, reward and action."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -225,21 +225,6 @@ def make_fields(config: FlowConfig, scales: Scales) -> tuple[Field, ...]:
     )
 
 
-def _read_speed(solver: InPlaceSolver, rows: Tensor | None) -> Tensor:
-    _, u = solver.macroscopic(rows)
-    return torch.hypot(u[:, 0], u[:, 1])
-
-
-#: Each field ``[N, Y, X]`` of the flows in ``rows`` ``[B]``, divided by its unit.
-_READ: Mapping[str, Callable[[InPlaceSolver, Tensor | None, Scales], Tensor]] = {
-    "vorticity": lambda solver, rows, scales: solver.vorticity(rows) * scales.period,
-    "pressure": lambda solver, rows, scales: (
-        compute_pressure(solver.macroscopic(rows)[0]) / scales.reference_speed**2
-    ),
-    "speed": lambda solver, rows, scales: _read_speed(solver, rows) / scales.reference_speed,
-}
-
-
 def compute_fields(
     solver: InPlaceSolver,
     scales: Scales,
@@ -248,7 +233,13 @@ def compute_fields(
     rows: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """Return fields ``[B, Y, X]`` of ``make_fields``, float16; 0 in flows outside ``rows``."""
-    fields = {key: _READ[key](solver, rows, scales).half() for key in keys}
+    unit = scales.reference_speed
+    read = {
+        "vorticity": lambda: solver.vorticity(rows) * scales.period,
+        "pressure": lambda: compute_pressure(solver.macroscopic(rows)[0]) / unit**2,
+        "speed": lambda: torch.hypot(*solver.macroscopic(rows)[1].unbind(1)) / unit,
+    }
+    fields = {key: read[key]().half() for key in keys}
     if rows is not None:
         for key, field in fields.items():
             fields[key] = field.new_zeros(len(rows), *field.shape[1:])

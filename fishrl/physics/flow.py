@@ -125,8 +125,11 @@ class FlowConfig(Settings):
                 f"patches hold the bodies {given} of {len(self.bodies)}: give each body in one "
                 "Patch(bodies=...), and at least one patch"
             )
-        for name, size in (("width", self.width), ("height", self.height)):
-            rest = self.find_remainder(name)
+        for name, size, edge in (
+            ("width", self.width, self.boundaries.left),
+            ("height", self.height, self.boundaries.bottom),
+        ):
+            rest = (size - (not isinstance(edge, Periodic))) % self.coarsest_spacing
             if rest:
                 raise ValueError(
                     f"{name} = {size} with levels = {self.levels}: take {size - rest} or "
@@ -157,12 +160,6 @@ class FlowConfig(Settings):
     def coarsest_spacing(self) -> int:
         """Distance of the nodes of the coarsest level, 2^(levels - 1)."""
         return int(2 ** (self.levels - 1))
-
-    def find_remainder(self, name: str) -> int:
-        """Return by how many nodes ``width`` or ``height`` is larger than levels allow."""
-        edge = self.boundaries.left if name == "width" else self.boundaries.bottom
-        size: int = getattr(self, name)
-        return (size - (not isinstance(edge, Periodic))) % self.coarsest_spacing
 
     @property
     def coarsest_size(self) -> tuple[int, int]:
@@ -275,24 +272,15 @@ class FlowConfig(Settings):
         )
         return alike, bodies, self.levels, self.patches, self.list_grids()
 
-    def weigh_sponges(self) -> Tensor:
-        """Return the weight of each sponge at each node, ``[S, Y, X]`` in [0, 1]."""
-        y, x = torch.meshgrid(
-            torch.arange(self.height).double(), torch.arange(self.width).double(), indexing="ij"
-        )
-        weights = []
-        for sponge in self.sponges:
-            nx, ny = sponge.side.value
-            depth = x * nx + y * ny + (nx < 0) * (self.width - 1) + (ny < 0) * (self.height - 1)
-            weights.append(torch.sin(0.5 * pi * (1.0 - depth / sponge.length).clamp(0.0)) ** 2)
-        return torch.stack(weights)
-
     def compute_omega(self, tau: Tensor) -> Tensor:
         """Return the relaxation rate 1 / tau, ``[B, 1, 1]``, or ``[B, Y, X]`` with sponges."""
         field = tau.double()[:, None, None]
-        if self.sponges:
-            for sponge, weight in zip(self.sponges, self.weigh_sponges(), strict=True):
-                field = field + (sponge.tau - field) * weight.to(field)
+        x, y = torch.arange(self.width).double(), torch.arange(self.height).double()[:, None]
+        for sponge in self.sponges:
+            nx, ny = sponge.side.value
+            depth = x * nx + y * ny + (nx < 0) * (self.width - 1) + (ny < 0) * (self.height - 1)
+            weight = torch.sin(0.5 * pi * (1.0 - depth / sponge.length).clamp(0.0)) ** 2
+            field = field + (sponge.tau - field) * weight.to(field)
         return 1.0 / field
 
 

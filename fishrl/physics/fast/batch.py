@@ -1,6 +1,6 @@
 """All flows of a batch, and the steps that advance them in this process."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import combinations
 
 import torch
@@ -9,7 +9,6 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.fast.fields import lay_together, read_fluid, read_vorticity
-from fishrl.physics.fast.flow_memory import FlowData
 from fishrl.physics.fast.grid import Allocate, Grid, make_fresh
 from fishrl.physics.fast.part import Bound, Part, Repeater, Step, compile_parts, copy_tree
 from fishrl.physics.fast.transfer_parts import (
@@ -27,6 +26,7 @@ from fishrl.physics.levels.patch import RING
 from fishrl.physics.levels.transfer import fill_all
 from fishrl.torch_state import one_thread
 
+Pairs = list[tuple[Tensor, Tensor]]
 Arguments = tuple[Sequence[Tensor], Sequence[Tensor]]  # before even and odd steps of the parent
 Calls = list[tuple[Part, Arguments]]
 
@@ -85,6 +85,7 @@ class FlowBatch:
         self._choices = [make_shift_choice([self._levels[n] for n in own]) for own in self._moving]
         self._moves = [make_moving(device) for _ in self._moving]
         self._repeaters = [self._make_repeaters(number) for number in self._numbers]
+        self._params, self._states = self._pair_bodies()
 
     def _find_memory(self, grid: Grid, number: int) -> PatchMemory:
         parent, own = self.grids[grid.level.parent], grid.rows_of(number)
@@ -189,30 +190,42 @@ class FlowBatch:
                 pair.run(num_pairs)
                 end.run(1)
 
+    def _pair_bodies(self) -> tuple[Pairs, Pairs]:
+        """Return parameters and states of the bodies: tensors of their grids, and of all."""
+        params: Pairs = []
+        states: Pairs = []
+        for grid in self._patches:
+            for place, number in enumerate(grid.level.bodies):
+                both = grid.flow.params.bodies[place], self.flow.params.bodies[number]
+                params += zip(*map(pytree.tree_leaves, both), strict=True)
+                states += zip(grid.flow.bodies[place], self.flow.bodies[number], strict=True)
+        return params, states
+
     def before_(self) -> None:
         """Prepare an advance: hand numbers and bodies to the grids of several levels."""
         if not self._patches:
             return
+        _copy([*self._params, *self._states])
         for grid, corner in zip(self.grids, self.find_corners(), strict=True):
-            level, own = grid.level, [self.flow.bodies[index] for index in grid.level.bodies]
-            bodies = tuple(body._replace(position=body.position - corner) for body in own)
-            clock, params = self.flow.clock / level.spacing, level.convert(self.flow.params)
-            copy_tree(grid.flow, FlowData(clock, params, bodies))
+            own, params = grid.flow, grid.level.convert(self.flow.params)
+            _copy(zip(own.params[:-1], params[:-1], strict=True))
+            own.clock.copy_(self.flow.clock / grid.level.spacing)
+            for body in own.bodies:
+                body.position.sub_(corner)
 
     def after_(self, wanted: Collection[int]) -> None:
-        """End it: take the numbers back, where positions of some groups have changed."""
+        """End it: take the numbers of some groups back."""
         if not self._patches:
             return
-        has_moved, bodies = torch.zeros_like(self.flow.clock, dtype=torch.bool), [*self.flow.bodies]
-        for number in wanted:
-            has_moved[self._root.rows_of(number)] = True
         for grid, corner in zip(self.grids, self.find_corners(), strict=True):
-            for index, body in zip(grid.level.bodies, grid.flow.bodies, strict=True):
-                place = body.position + corner
-                place = torch.where(has_moved[:, None], place, bodies[index].position)
-                bodies[index] = body._replace(position=place)
+            for body in grid.flow.bodies:
+                body.position.add_(corner)
         clock = self._root.flow.clock * self._root.level.spacing
-        copy_tree(self.flow, self.flow._replace(clock=clock, bodies=tuple(bodies)))
+        pairs = [(self.flow.clock, clock), *((given, own) for own, given in self._states)]
+        rows = [self._root.rows_of(number) for number in wanted]
+        if len(rows) < len(self._numbers):
+            pairs = [(to[own], new[own]) for own in rows for to, new in pairs]
+        _copy(pairs)
 
     def initialise_(self) -> None:
         """Write the initial parameters, bodies at rest and relaxation rates; place patches."""
@@ -367,3 +380,9 @@ class FlowBatch:
         for name, parts in own.items():
             for part, saved in zip(parts, torch.split(state[name], len(parts[0])), strict=True):
                 part.copy_(saved)
+
+
+def _copy(pairs: Iterable[tuple[Tensor, Tensor]]) -> None:
+    """Copy the second tensor of each pair to the first."""
+    for to, new in pairs:
+        to.copy_(new)
