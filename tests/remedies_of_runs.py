@@ -50,7 +50,7 @@ from fishrl.wrappers.pettingzoo import FlowParallelEnv
 from tests.envs.conftest import CONTINUOUS, SMALL
 from tests.envs.test_transforms import FLOWS, TASK, save, untrained
 from tests.objectives.test_classification import fit, make_network, make_parts
-from tests.remedies import OUT, Case
+from tests.remedies import OUT
 from tests.training.conftest import QUICK, limited_disk, make_toy_plan
 from tests.viewer.scenes import make_scene
 
@@ -99,17 +99,13 @@ def train_twice(end: bool) -> None:
         first.close()
 
 
-def resume_without(name: str) -> Callable[..., None]:
-    """Return a call that resumes a run one of whose files is damaged, or deleted."""
-
-    def resume(delete: bool) -> None:
-        damaged = finish() / name
-        damaged.write_text("{")
-        if delete:
-            damaged.unlink()
-        reopen(total_frames=96)
-
-    return resume
+def resume_without(name: str, delete: bool) -> None:
+    """Resume a run one of whose files is damaged, or deleted."""
+    damaged = finish() / name
+    damaged.write_text("{")
+    if delete:
+        damaged.unlink()
+    reopen(total_frames=96)
 
 
 def write(space: bool) -> None:
@@ -122,10 +118,13 @@ def call(program: Any, *words: str) -> Callable[..., None]:
     """Return a call of a program with further settings."""
 
     def run(**given: Any) -> None:
-        more = [f"{name}={value}" for name, value in given.items()]
-        program.main.run(program.main.read([*words, *more]))
+        program.main.run(program.main.read([*words, *show(given)]))
 
     return run
+
+
+def show(given: dict[str, Any]) -> list[str]:
+    return [f"{name}={value}" for name, value in given.items()]
 
 
 def hold(name: str) -> None:
@@ -205,146 +204,89 @@ def learn(parts: list[Any]) -> None:
     fit(make_network(), parts, settings=FitSettings(num_epochs=1))
 
 
-RUNS: list[Case] = [
-    (lambda folder: check_folder(f"{folder}/x"), "folder", "nowhere", "."),
-    (lambda file: check_folder(file), "file", ".", "x"),
-    (claim_in, "folder", "taken", "free"),
-    (hold, "name", "x", "y"),
-    (lambda size: begin(hidden=(size, size)).close(), "size", 10**6, 8),
-    (lambda widths: make_mlp((4, widths)), "widths", 0, 8),
+def check_classifier(stream_speed_bl: float) -> None:
+    flows = [*FLOWS[:2], FLOWS[2] | {"stream_speed_bl": stream_speed_bl}]
+    save(Path(), flows=flows).check(TASK)
+
+
+def split(episodes: int, shares: tuple[float, float] = (0.5, 0.5)) -> None:
+    label, generator = torch.zeros(episodes, dtype=torch.int64), torch.Generator()
+    split_episodes(torch.arange(episodes), label, shares=shares, generator=generator)
+
+
+def make_loss(critics: int) -> None:
+    MaskedDiscreteSACLoss(make_actor(**SIZES), make_twin_critics(**SIZES)[:critics], num_actions=3)
+
+
+def show_critics(critic_observes: Any) -> None:
+    Plan(task=Predation(critic_observes=critic_observes), algorithm=DQN())
+
+
+def record(task: Any) -> Any:
+    return CollectionSettings(task=task).recorded_task
+
+
+VALUES, MAKERS = (make_continuous_actor, make_value_actor), (gymnasium.make, gymnasium.make_vec)
+HUNTER, RANDOM = "fishrl.envs.Predation", ("policy=random", *WORDS)
+RUNS: list[tuple[Any, ...]] = [
+    (lambda folder: check_folder(f"{folder}/x"), "nowhere", "."),
+    (lambda file: check_folder(file), ".", "x"),
+    (claim_in, "taken", "free"),
+    (hold, "x", "y"),
+    (lambda size: begin(hidden=(size, size)).close(), 10**6, 8),
+    (lambda widths: make_mlp((4, widths)), 0, 8),
     (untrained, "features", (), ("u_x",)),
     (untrained, "num_samples", 0, 1),
-    (lambda samples: untrained().read(torch.zeros(samples, 5, 2)), "samples", 3, 16),
-    (
-        lambda stream_speed_bl: save(
-            Path(), flows=[*FLOWS[:2], FLOWS[2] | {"stream_speed_bl": stream_speed_bl}]
-        ).check(TASK),
-        "stream_speed_bl",
-        2.0,
-        1.5,
-    ),
+    (lambda samples: untrained().read(torch.zeros(samples, 5, 2)), 3, 16),
+    (check_classifier, 2.0, 1.5),
     (partial(make_recurrent_value_actor, **SIZES), "hidden", (), (8,)),
-    (
-        lambda episodes: split_episodes(
-            torch.arange(episodes),
-            torch.zeros(episodes, dtype=torch.int64),
-            shares=(0.5, 0.5),
-            generator=torch.Generator(),
-        ),
-        "episodes",
-        1,
-        2,
-    ),
-    (lambda samples: learn([PARTS[0], PARTS[1][:samples]]), "samples", 0, 9),
-    (
-        lambda exclude: learn([PARTS[0] if exclude else PARTS[0] / 0, PARTS[1]]),
-        "exclude",
-        False,
-        True,
-    ),
-    (
-        lambda critics: MaskedDiscreteSACLoss(
-            make_actor(**SIZES), make_twin_critics(**SIZES)[:critics], num_actions=3
-        ),
-        "critics",
-        1,
-        2,
-    ),
-    (
-        lambda make_value_actor: MaskedDQNLoss(
-            (make_value_actor or make_continuous_actor)(**SIZES)
-        ),
-        "make_value_actor",
-        None,
-        make_value_actor,
-    ),
-    (
-        lambda **g: build(Plan, {"task": {"reynolds": 500.0} | g}),
-        "_target_",
-        OUT,
-        "fishrl.envs.Predation",
-    ),
+    (split, 1, 2),
+    (partial(split, 9), "shares", (0.9, 0.9), (0.5, 0.5)),
+    (lambda samples: learn([PARTS[0], PARTS[1][:samples]]), 0, 9),
+    (lambda exclude: learn([PARTS[0] if exclude else PARTS[0] / 0, PARTS[1]]), False, True),
+    (make_loss, 1, 2),
+    (lambda make_value_actor: MaskedDQNLoss(make_value_actor(**SIZES)), *VALUES),
+    (lambda **g: build(Plan, {"task": {"reynolds": 500.0} | g}), "_target_", OUT, HUNTER),
     (read_own, "modules", OUT, ("own_control",)),
     (partial(Plan, task=SHORT), "algorithm", SAC(), DQN()),
-    (
-        lambda critic_observes: Plan(
-            task=Predation(critic_observes=critic_observes), algorithm=DQN()
-        ),
-        "critic_observes",
-        ("place_of_the_food",),
-        (),
-    ),
+    (show_critics, ("place_of_the_food",), ()),
     (partial(DQN, epsilon_start=0.5), "epsilon_end", 0.9, 0.5),
     (partial(LearningSettings, buffer_size=16), "batch_size", 17, 16),
-    (write, "space", False, True),
-    (lambda checkpoint: load_plan(finish() / checkpoint), "checkpoint", "nothing", "."),
-    (lambda folder: export_policy(finish(), folder), "folder", "run", "new"),
-    (resume_without("metrics.csv"), "delete", False, True),
-    (resume_without("summary.json"), "delete", False, True),
+    (write, False, True),
+    (lambda checkpoint: load_plan(finish() / checkpoint), "nothing", "."),
+    (lambda folder: export_policy(finish(), folder), "run", "new"),
+    (partial(resume_without, "metrics.csv"), "delete", False, True),
+    (partial(resume_without, "summary.json"), "delete", False, True),
     (begin_another, "name", "run", "other"),
     (reopen, "total_frames", OUT, 96),
     (partial(reopen, total_frames=96), "gamma", 0.5, OUT),
     (partial(evaluate, "random", flows=EAGER, episodes=1), "task", OUT, SHORT),
     (partial(load_policy, "zoo/predation_sharp"), "task", Predation(num_stacked=2), OUT),
-    (lambda resume: open_run(finish() / resume), "resume", "nothing", "."),
-    (lambda resume: open_run(finish().parent / resume), "resume", ".", "run"),
-    (take, "folder", "taken", "free"),
-    (train_twice, "end", False, True),
+    (lambda resume: open_run(finish() / resume), "nothing", "."),
+    (lambda resume: open_run(finish().parent / resume), ".", "run"),
+    (take, "taken", "free"),
+    (train_twice, False, True),
     (lambda **g: start_drawing(make_scene(), flows={0: "x"}, **g).close(), "save", OUT, "x.rrd"),
-    (find, "rrd", "y.rrd", "x.rrd"),
-    (lambda port: find_port(port), "port", 65535, 9876),
-    (
-        lambda make_vec: (gymnasium.make_vec if make_vec else gymnasium.make)(
-            HUNT, num_envs=1, flows=EAGER, **SMALL
-        ),
-        "make_vec",
-        False,
-        True,
-    ),
-    (find_again, "name", "x-v0", "x-v1"),
-    (
-        lambda gymnasium: wrap(FlowVectorEnv if gymnasium else FlowParallelEnv, SHORT),
-        "gymnasium",
-        False,
-        True,
-    ),
-    (
-        lambda FlowParallelEnv: wrap(FlowParallelEnv, PAIR),
-        "FlowParallelEnv",
-        FlowVectorEnv,
-        FlowParallelEnv,
-    ),
-    (act_in_pair, "reset", False, True),
+    (find, "y.rrd", "x.rrd"),
+    (lambda port: find_port(port), 65535, 9876),
+    (lambda make_vec: make_vec(HUNT, num_envs=1, flows=EAGER, **SMALL), *MAKERS),
+    (find_again, "x-v0", "x-v1"),
+    (lambda gymnasium: wrap(FlowVectorEnv if gymnasium else FlowParallelEnv, SHORT), False, True),
+    (lambda FlowParallelEnv: wrap(FlowParallelEnv, PAIR), FlowVectorEnv, FlowParallelEnv),
+    (act_in_pair, False, True),
     (partial(act_in_pair, draw=True), "reset", False, True),
     (render, "render_mode", OUT, "rgb_array"),
     (partial(step_after_end, num_envs=1), "reset", False, True),
     (partial(step_after_end, num_envs=2), "reset", False, True),
-    (step_first, "reset", False, True),
-    (lambda task: CollectionSettings(task=task).recorded_task, "task", SHORT, TASK),
-    (
-        lambda task: CollectionSettings(task=task).recorded_task,
-        "task",
-        replace(TASK, control=CONTINUOUS),
-        TASK,
-    ),
-    (lambda **g: plan_jobs([f"{key}={value}" for key, value in g.items()]), "name", "x", OUT),
-    (lambda folder: read_runs(finish() / folder), "folder", ".", ".."),
-    (lambda folder: read_runs(finish().parent / folder), "folder", "run/checkpoints", "."),
-    (
-        lambda **g: train.main.read([f"resume={finish()}", *(f"{k}={v}" for k, v in g.items())]),
-        "gamma",
-        0.5,
-        OUT,
-    ),
+    (step_first, False, True),
+    (record, SHORT, TASK),
+    (record, replace(TASK, control=CONTINUOUS), TASK),
+    (lambda **g: plan_jobs(show(g)), "name", "x", OUT),
+    (lambda folder: read_runs(finish() / folder), ".", ".."),
+    (lambda folder: read_runs(finish().parent / folder), "run/checkpoints", "."),
+    (lambda **g: train.main.read([f"resume={finish()}", *show(g)]), "gamma", 0.5, OUT),
     (call(view, *WORDS, "save=x.rrd"), "policy", OUT, "random"),
-    (
-        lambda policy: call(
-            view, "save=x.rrd", *(["policy=random", *WORDS] if policy else ["recording=y.rrd"])
-        )(),
-        "policy",
-        False,
-        True,
-    ),
+    (lambda policy: call(view, "save=x.rrd", *policy)(), ("recording=y.rrd",), RANDOM),
     (call(view, *WORDS, "policy=random", "save=x.gif"), "episodes", 2, 1),
     (call(view, *WORDS, "policy=random"), "save", OUT, "x.rrd"),
     (call(export, *WORDS, "policy=random", "save=x.zarr"), "signals", "true", "false"),

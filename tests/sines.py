@@ -14,7 +14,6 @@ SENSORS = {
     "num_samples": 16,
     "interval_T": 1.0,
 }
-NUM_FEATURES = 6
 
 
 def make_signal(flow: Tensor, time: Tensor, phase: Tensor) -> Tensor:

@@ -33,7 +33,7 @@ from fishrl.physics import (
 )
 from fishrl.programs import view
 from fishrl.settings import list_fields
-from tests.remedies import ENVS, FLOWS, OUT, Case
+from tests.remedies import ENVS, FLOWS, OUT, Case, complete
 from tests.remedies_of_runs import RUNS
 from tests.training.conftest import toy_flows  # noqa: F401
 
@@ -194,7 +194,7 @@ def is_accepted(make: Callable[..., Any], given: dict[str, Any]) -> bool:
     return True
 
 
-ALL = [*FLOWS, *ENVS, *RUNS]
+ALL = complete([*FLOWS, *ENVS, *RUNS])
 #: What is to be done, at the beginning of a clause.
 ADVISED = re.compile(
     r"(?:[:;,] |^|\b(?:or|and) )(?:append|bend|call|change|choose|collect|configure|create|enlarge"

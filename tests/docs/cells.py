@@ -1,29 +1,11 @@
 """Numbers in tables of pages that repeat the data of studies."""
 
+# ruff: noqa: F403, F405 - the tables are written in the words of page_numbers
 import re
 from collections.abc import Callable
 
 from studies.tables import read_data
-from tests.docs.page_numbers import (
-    BEHIND,
-    CHANGING,
-    DISTANCE,
-    DOCS,
-    GAIT,
-    NUMBER,
-    PREDATION,
-    RELATIVE,
-    RESULTS,
-    SENSES,
-    SEVERAL,
-    Numbers,
-    column,
-    count_lasting,
-    find_row,
-    follow,
-    last,
-    scatter,
-)
+from tests.docs.page_numbers import *
 
 AS_TRAINED = "as trained, % of 96"
 DRAWN = scatter(
@@ -46,8 +28,7 @@ def stand(table: str, policy: str) -> list[float]:
     """Return how many episodes last, of how many, and the ranges of time in gait and of work."""
     (ended, num), ends = count_lasting(table, policy), list[float]()
     for name in ("in gait, %", "muscles per T"):
-        found = column("karman_gait", table, name, policy=policy)
-        ends += [min(found), max(found)]
+        ends += stretch(column("karman_gait", table, name, policy=policy))
     return [num - ended, num, *ends]
 
 
@@ -139,7 +120,7 @@ CELLS: dict[tuple[str, ...], Callable[[], Numbers]] = {
             float(row["in gait (paper)"].split("%")[0])
             for row in read_data("karman_gait", "L100")[3:]
         ),
-        *(min(sharp("in gait, %", KINDS)), max(sharp("in gait, %", KINDS))),
+        *stretch(sharp("in gait, %", KINDS)),
     ],
     (RESULTS, "tail beat / shedding frequency", "1.00, 1.00, 1.00"): lambda: station(
         "beat / shedding"

@@ -1,5 +1,6 @@
 """Conclusions of pages, and the numbers they follow from."""
 
+# ruff: noqa: F403, F405 - the tables are written in the words of page_numbers
 import re
 from collections.abc import Callable
 from math import log2
@@ -10,59 +11,21 @@ from scipy import stats
 from experiments.benchmarks.accuracy import extrapolate
 from studies import claims
 from studies.tables import read_data
-from tests.docs.page_numbers import (
-    ALGORITHMS,
-    BEHIND,
-    BODY,
-    C_START,
-    CHANGING,
-    DISTANCE,
-    DOCS,
-    EXTRAPOLATED,
-    FAST,
-    GAIT,
-    OWN,
-    PREDATION,
-    PRINTED,
-    README,
-    RELATIVE,
-    RESOLUTION,
-    RESULTS,
-    SEEN,
-    SENSE,
-    SENSES,
-    SEVERAL,
-    SPEED,
-    STREAM,
-    WORK,
-    Numbers,
-    arm,
-    column,
-    compare,
-    count_lasting,
-    find,
-    find_line,
-    find_row,
-    find_rows,
-    follow,
-    forces,
-    gain,
-    is_above,
-    last,
-    lasted,
-    list_verdicts,
-    measured,
-    off,
-    overlap,
-    read,
-    scatter,
-    swim,
-    swim_blurred,
-    swum,
-    taught,
-)
+from tests.docs.page_numbers import *
 
-RECORD, LARGEST = "../studies/performance_history/README.md", "paper, 1000 × 500"
+DRAG_LIFT, LIFTED = ("mean drag", "lift"), ("channel-cylinder", "C_l,max, Re = 100")
+ARMS, GUIDE = (slice(5), slice(5, 10)), "interception, which knows the path"
+LARGEST = "paper, 1000 × 500"
+TIMED = ("gait_bend, 192 × 96", "L = 50, 500 × 250", LARGEST)
+MISSED = ("collision alone", "with a fish in each, immersed boundary")
+
+
+def survived(labels: str) -> float:
+    """Return the mean survival in changing streams, T."""
+    return column("changing_streams", "trained", "mean survival, T", labels_from=labels)[0]
+
+
+RECORD = "../studies/performance_history/README.md"
 #: By page: what it concludes, with ``#`` for each number, and the numbers that it should name.
 NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
     RESOLUTION: {
@@ -71,21 +34,13 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
         ],
         "speed at L = 100 by # %, mean drag at D = 20 by # % and lift amplitude by # %": lambda: [
             off(measured("compressibility", f"{what}: default speed / half of it"), 1.0)
-            for what in (
-                "swimming speed, L = 100",
-                "mean drag of the cylinder",
-                "lift of the cylinder",
-            )
+            for what in ("swimming speed, L = 100", *(f"{x} of the cylinder" for x in DRAG_LIFT))
         ],
         "lift amplitude # % low": lambda: [
-            -off(
-                measured("channel-cylinder", "C_l,max, Re = 100", "D = 20"),
-                measured("channel-cylinder", "C_l,max, Re = 100"),
-            )
+            -off(measured(*LIFTED, "D = 20"), measured(*LIFTED)),
         ],
         "adds # %, # % and # % and halves": lambda: [
-            off(FAST[what]["0.14 nodes per step"], FAST[what]["0.07 nodes per step"])
-            for what in ("swim", "drag", "lift")
+            off(case["0.14 nodes per step"], case["0.07 nodes per step"]) for case in FAST.values()
         ],
         "which is itself # % (Re = 500) to # % (Re = 7142) slower than the limit": lambda: [
             100.0 * (1.0 - swim(100, column)) for column in (0, 1)
@@ -109,8 +64,8 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
     C_START: {
         "covers # body lengths in 2.7 T on the finest grid, "
         "# % more than in the authors' code": lambda: [
-            measured("c-start", "distance after 2.7 T, L"),
-            off(measured("c-start", "distance after 2.7 T, L"), 1.15),
+            *(distance := [measured("c-start", "distance after 2.7 T, L")]),
+            off(*distance, 1.15),
         ],
         "carry it # % farther on that grid, with # % less work": lambda: [
             gain("192", DISTANCE),
@@ -124,8 +79,7 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
     CHANGING: {
         "recognises # % of the time": lambda: [find_row(CHANGING, "current signal only")[3]],
         "both modules last # T longer than five without": lambda: [
-            column("changing_streams", "trained", "mean survival, T", labels_from="memory 0.7")[0]
-            - column("changing_streams", "trained", "mean survival, T", labels_from="ablation")[0]
+            survived("memory 0.7") - survived("ablation")
         ],
         "with which a fish of 32 nodes swims at # of its converged speed": lambda: [
             swim_blurred(32)
@@ -139,8 +93,7 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
         "exploits it better: it settles # L behind the leader, where the work is least, the "
         "learned ones at # to # L": lambda: [
             follow("followers", BEHIND[1], "mean x, L")[0],
-            min(follow("followers", "seed", "mean x, L")[:3]),
-            max(follow("followers", "seed", "mean x, L")[:3]),
+            *stretch(follow("followers", "seed", "mean x, L")[:3]),
         ],
         "learned ones were ahead, # against #": lambda: [
             follow("immersed", who, RELATIVE)[0] for who in BEHIND
@@ -157,8 +110,7 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
     },
     GAIT: {
         "they beat at # to # times that frequency and are in gait for # % of the time": lambda: [
-            min(column("karman_gait", "station", "beat / shedding", policy="both modules")),
-            max(column("karman_gait", "station", "beat / shedding", policy="both modules")),
+            *stretch(column("karman_gait", "station", "beat / shedding", policy="both modules")),
             fmean(column("karman_gait", "station", "in gait, %", policy="both modules")),
         ],
         "all # episodes last and are always in gait": lambda: [
@@ -173,19 +125,14 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
         ],
         "A memory of four observations adds # points to one of the latest alone, 95 % "
         "interval [#, #]: not resolved": lambda: compare(
-            *(
-                [float(row["captured of 96, %"]) for row in read_data("predation", "memory")][part]
-                for part in (slice(5), slice(5, 10))
-            )
+            *(column("predation", "memory", "captured of 96, %")[part] for part in ARMS)
         ),
         "from # ± # % (interception # %), and from # ± # % if it is faster (# %)": lambda: [
             number
             for name in ("tilted more, % of 96", "faster, % of 96")
             for number in (
                 *scatter(column("predation", "held_out", name, policy="learned, 4 observations")),
-                column("predation", "held_out", name, policy="interception, which knows the path")[
-                    0
-                ],
+                column("predation", "held_out", name, policy=GUIDE)[0],
             )
         ],
     },
@@ -199,10 +146,7 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
         "takes # µs and a tail beat # s (192 × 96 nodes), at L = 50 in the tank # s, at L = 100 "
         "with the paper's immersed boundary # s": lambda: [
             find_row(SPEED, "gait_bend, 192 × 96")[0],
-            *(
-                find_row(SPEED, case)[-1]
-                for case in ("gait_bend, 192 × 96", "L = 50, 500 × 250", LARGEST)
-            ),
+            *(find_row(SPEED, case)[-1] for case in TIMED),
         ],
     },
     SPEED: {
@@ -333,7 +277,7 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
             -torque > abs(muscles)
             for muscles, _, torque, _ in (
                 find_row(GAIT, "`gait_narrow`, L = 64", "1"),
-                *(rows[1] for rows in (find_rows(GAIT, "", "1.25"), find_rows(GAIT, "", "1.5"))),
+                *(find_rows(GAIT, "", stream)[1] for stream in ("1.25", "1.5")),
             )
         ),
     },
@@ -342,11 +286,8 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
         "not significant.": lambda: claims.check_algorithms() is None,
     },
     SPEED: {
-        "Both goals are missed.": lambda: (
-            find_row(SPEED, "collision alone")[-1] > find_row(SPEED, "collision alone")[-2]
-            and (lambda row: row[-1] > row[-2])(
-                find_row(SPEED, "with a fish in each, immersed boundary")
-            )
+        "Both goals are missed.": lambda: all(
+            row[-1] > row[-2] for row in (find_row(SPEED, case) for case in MISSED)
         ),
     },
 }

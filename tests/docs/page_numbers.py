@@ -98,6 +98,10 @@ def compare(ours: Sequence[float], theirs: Sequence[float]) -> list[float]:
     return [fmean(ours) - fmean(theirs), *found.confidence_interval()]
 
 
+def stretch(values: Sequence[float]) -> tuple[float, float]:
+    return min(values), max(values)
+
+
 def gain(grid: str, name: str) -> float:
     """Return the percentage by which the best C-start exceeds the published one."""
     best, published = (

@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs import AbstractTask, Command, HasFlowLabels
+from fishrl.envs import AbstractTask, Command
 
 
 class GoLeft(AbstractTask):
@@ -99,9 +99,3 @@ class PairTask(GoLeft):
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         return {"arrived": now["x"] < 3.0}
-
-
-class LabelledPair(PairTask, HasFlowLabels):
-    """Two fish in one of two flows."""
-
-    flow_labels = [{"speed_bl": 1.0}, {"speed_bl": 2.0}]

@@ -69,12 +69,6 @@ def test_invalid_return_value_is_named(member: str, gives: Any, said: str) -> No
         _step(_make(**{member: gives}))
 
 
-def test_missing_members_are_named() -> None:
-    incomplete = type("Incomplete", (AbstractTask,), {"n_obs": 1, "num_draws": 1})
-    with pytest.raises(TypeError, match=r"abstract .*command.*num_actions"):
-        incomplete(**BRIEF)
-
-
 def test_success_entry_may_be_a_column() -> None:
     _step(_make(success="arrived", report=lambda _, now: {"arrived": now["x"][:, None] < 1.0}))
 

@@ -3,7 +3,6 @@
 Tasks that ``fishrl.envs.tasks`` exports are tested here without further ado.
 """
 
-import dataclasses
 import inspect
 import pickle
 from typing import Any
@@ -46,13 +45,6 @@ def test_package_exports_every_concrete_task() -> None:
     classes = [value for module in modules for value in vars(module).values()]
     tasks = [c for c in classes if inspect.isclass(c) and issubclass(c, AbstractTask)]
     assert {c for c in tasks if not inspect.isabstract(c)} == set(LIBRARY)
-
-
-def test_settings_are_keyword_only_with_defaults_and_frozen(task: AbstractTask) -> None:
-    parameters = inspect.signature(type(task)).parameters.values()
-    assert all(p.kind is p.KEYWORD_ONLY and p.default is not p.empty for p in parameters)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        task.body_length = 1
 
 
 def test_pickle_holds_the_settings_alone(task: AbstractTask) -> None:

@@ -1,6 +1,7 @@
 """What actions command; the environment shifts gears in ``test_karman_gait``."""
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -12,33 +13,26 @@ MACRO = MacroActions(rows=ROWS)
 DIRECT = DirectFrequencies(frequencies=(0.0, 1.0, 2.5))
 
 
-def test_frequency_is_interpolated_between_rows() -> None:
-    gear, flow = torch.tensor([1, 2, 2]), torch.tensor([0.0, 0.5, 1.75])
-    after, frequency, *_ = MACRO.choose(torch.tensor([0, 1, 2]), gear, flow)
-    assert after.tolist() == [0, 2, 3] and frequency.tolist() == [0.5, 1.625, 2.8125]
+@pytest.mark.parametrize(
+    ("control", "action", "gear", "flow", "after", "frequency"),
+    [
+        (MACRO, [0, 1, 2], [1, 2, 2], [0.0, 0.5, 1.75], [0, 2, 3], [0.5, 1.625, 2.8125]),
+        (MacroActions(rows=ROWS[:1]), [2, 2], [1, 1], [0.0, 2.0], [2, 2], [1.5, 1.5]),
+        (DIRECT, [2, 0, 1], [0, 0, 2], [0, 1, 2], [2, 0, 1], [2.5, 0.0, 1.0]),
+        (ContinuousFrequency(), [[0.75], [1.5]], [0, 0], [0, 1], [0, 0], [0.75, 1.5]),
+    ],
+)
+def test_actions_choose_gear_and_frequency(
+    control: Any, action: Any, gear: Any, flow: Any, after: list[int], frequency: list[float]
+) -> None:
+    """Frequencies are interpolated between the rows of two flows; one row serves every flow."""
+    choice = control.choose(*map(torch.tensor, (action, gear, flow)))
+    assert (choice.gear.tolist(), choice.frequency.tolist()) == (after, frequency)
 
 
-def test_direct_frequencies_are_all_legal_in_every_flow() -> None:
-    flow = torch.tensor([0, 1, 2])
-    gear, frequency, *_ = DIRECT.choose(torch.tensor([2, 0, 1]), torch.tensor([0, 0, 2]), flow)
-    assert gear.tolist() == [2, 0, 1] and frequency.tolist() == [2.5, 0.0, 1.0]
-    assert DIRECT.mask(gear).all() and DIRECT.mask(gear).shape == (3, 3)
-    assert DIRECT.num_flows is None and DIRECT.num_actions == 3
-    assert MACRO.start_gear == 1  # the middle, by default
-
-
-def test_continuous_action_is_the_frequency() -> None:
-    control, gear = ContinuousFrequency(frequency_range=(0.5, 2.0)), torch.tensor([0, 0])
-    action, flow = torch.tensor([[0.7], [2.0]], dtype=torch.float64), torch.tensor([0, 1])
-    after, frequency, *_ = control.choose(action, gear, flow)
-    assert (after == gear).all() and torch.equal(frequency, action[:, 0])
-    assert control.action_bounds == ((0.5, 2.0),) and control.num_actions == 1
-
-
-def test_one_row_serves_every_flow() -> None:
-    control, gear = MacroActions(rows=ROWS[:1]), torch.tensor([1, 1])
-    choice = control.choose(torch.tensor([2, 2]), gear, torch.tensor([0.0, 2.0]))
-    assert choice.frequency.tolist() == [1.5, 1.5]
+def test_direct_frequencies_are_all_legal_and_macro_actions_begin_in_the_middle() -> None:
+    assert DIRECT.mask(torch.tensor([2, 0, 1])).tolist() == [[True] * 3] * 3
+    assert DIRECT.num_flows is None and DIRECT.num_actions == 3 and MACRO.start_gear == 1
 
 
 @pytest.mark.parametrize("make", [Turn, Bend])

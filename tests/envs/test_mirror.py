@@ -10,8 +10,7 @@ from fishrl.envs import AbstractTask, Follower, KarmanGait, Predation, Predation
 from fishrl.envs.control import Bend, DirectFrequencies, MacroActions, Turn
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.lateral_line import KNOWN, LateralLine
-from fishrl.envs.sense import Sense
-from fishrl.envs.steering import PIDSteering, PolicySteering
+from fishrl.envs.steering import PIDSteering
 from fishrl.envs.streams import Stream
 from tests.envs.conftest import make_flows
 from tests.envs.test_follower import TINY as FOLLOWER
@@ -114,38 +113,10 @@ def test_mirrored_actions_in_a_mirrored_flow_give_mirrored_observations(name: st
     assert (now[1] - now[0]).abs().max() > 5.0 * tolerance  # the flows are not symmetric
 
 
-@pytest.mark.parametrize(
-    ("task", "said"),
-    [
-        (Predation(**TANK), "food_direction = up, .* the mirrored food takes other paths"),
-        (
-            KarmanGait(**IN_STREAM | {"observes": ("place",)}, steering=PolicySteering()),
-            "PolicySteering does not turn as its mirror image",
-        ),
-        (
-            KarmanGait(
-                **IN_STREAM | {"lateral_line": LateralLine(features=("x", "y")), "control": BEND}
-            ),
-            "the sense 'lateral line' has no mirror image; give Sense",
-        ),
-    ],
-)
-def test_task_without_a_mirror_image_says_why(task: AbstractTask, said: str) -> None:
-    with pytest.raises(ValueError, match=f"reflect: {said}"):
-        _ = task.mirror
-
-
-def test_mirror_of_own_senses_and_controls_must_be_given() -> None:
-    class Own(Predation):
-        @property
-        def senses(self) -> tuple[Sense, ...]:
-            return (Sense("food", ("x [L]", "y [L]"), lambda now: now["target"][:, :2], (1, -1)),)
-
+def test_mirror_of_an_own_control_may_be_that_of_its_base() -> None:
     class Steers(Turn):
         @property
         def mirrored_actions(self) -> tuple[int, ...]:
             return super(Turn, self).mirrored_actions
 
-    with pytest.raises(ValueError, match="must name each of 1 to 2 once"):
-        _ = Own(**MIRRORED).mirror
     assert Steers().mirrored_actions == (2, 1, 0)

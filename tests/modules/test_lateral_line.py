@@ -67,7 +67,6 @@ def test_saved_classifier_keeps_predictions_and_description(
         ({"flows": FLOWS[:1]}, "two or more, with unique names; got"),
         ({"flows": [FLOWS[0], FLOWS[0]]}, "two or more, with unique names; got"),
         ({"sensors": {"features": ["u"]}}, r"lacks \['num_neuromasts', 'num_samples'\]"),
-        ({"features": ["w"]}, r"features = \['w'\]: give one or more of"),
     ],
 )
 def test_invalid_settings_are_refused(changes: dict[str, Any], message: str) -> None:
@@ -84,10 +83,8 @@ def test_signal_of_other_sensors_is_refused() -> None:
 def test_other_flows_and_sensors_are_refused() -> None:
     almost = [{**flow, "stream_speed_bl": flow["stream_speed_bl"] * (1 + 1e-9)} for flow in FLOWS]
     make().check(flows=almost, sensors={**SENSORS, "features": tuple(SENSORS["features"])})
-    faster = [*FLOWS[:2], {**FLOWS[2], "stream_speed_bl": 2.0}]
     for flows, sensors, message in (
         (FLOWS[:2], SENSORS, r"flows: .* \['I', 'II', 'III'\], here it is \['I', 'II'\]"),
-        (faster, SENSORS, "flow 2: .* stream_speed_bl = 1.5, here it is 2.0"),
         (FLOWS, SENSORS | {"num_neuromasts": 7}, "num_neuromasts = 5, here it is 7"),
     ):
         with pytest.raises(ValueError, match=message):

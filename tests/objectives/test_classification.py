@@ -55,20 +55,6 @@ def test_split_is_by_episode_and_stratified_by_class() -> None:
             assert per_class.tolist() == [pytest.approx(20 * share, abs=1)] * 3
 
 
-def test_invalid_shares_and_samples_are_refused() -> None:
-    data, wrong = make_samples(8), r"shares = \(0.9, 0.9\): must be positive and sum to 1"
-    episodes = data["episode"], data["flow_index"]
-    for shares, message in ((SHARES, "class 2 has 2 episodes for 3 parts"), ((0.9, 0.9), wrong)):
-        with pytest.raises(ValueError, match=message):
-            split_episodes(*episodes, shares=shares, generator=generator())
-    training, validation, _ = make_parts(9)
-    with pytest.raises(ValueError, match="training holds no samples"):
-        fit(make_network(), [training[:0], validation])
-    validation["lateral_line"][0] = torch.nan
-    with pytest.raises(ValueError, match="validation holds NaN"):
-        fit(make_network(), [training, validation])
-
-
 def test_fit_classifies_unseen_episodes() -> None:
     parts, network = make_parts(), make_network()
     before = score_classifier(network, parts[2])

@@ -5,8 +5,7 @@ from typing import TypeVar
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule, TensorDictSequential
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 from torchrl.objectives import SoftUpdate
 
@@ -53,12 +52,6 @@ def test_loss_equals_definition_over_legal_actions(is_double: bool) -> None:
         values = values_of(loss, batch["observation_stack"], is_target=False)
         chosen = values.gather(-1, batch["action"][:, None])
     torch.testing.assert_close(loss(batch)["loss_qvalue"], smooth_l1_loss(chosen, wanted))
-
-
-def test_network_without_mask_is_refused() -> None:
-    module = TensorDictModule(nn.Linear(2, 2), in_keys=["observation"], out_keys=["action_value"])
-    with pytest.raises(ValueError, match=r"not 'action_mask'.*make_value_actor"):
-        MaskedDQNLoss(TensorDictSequential(module))
 
 
 def stretches(num: int = 5) -> TensorDict:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState
-from fishrl.physics.bodies.motion import Driven, Fixed, Free, Motion, Oscillating
+from fishrl.physics.bodies.motion import Driven, Free, Motion, Oscillating
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.boundaries import Boundaries, NoSlip
 from fishrl.physics.cases import PERIODIC
@@ -226,16 +226,6 @@ def test_a_turning_cylinder_drags_the_water_as_stokes_second_problem() -> None:
         return 2.0 * math.pi * radius * radius * flat
 
     assert got == pytest.approx(impulse(200.0) - impulse(40.0), rel=0.03)
-
-
-def test_body_of_another_skin_is_refused() -> None:
-    soft = ImmersedBoundary().fit(Cylinder(diameter=16))
-    with pytest.raises(ValueError, match=r"made for skin = ImmersedBoundary\(\).*give FlowConfig"):
-        make_cylinder(Fixed(), bodies=(soft,))
-    with pytest.raises(ValueError, match=r"2\.0. nodes apart.*leave out marker_spacing"):
-        make_cylinder(Fixed(), bodies=(Cylinder(diameter=16, marker_spacing=2.0),))
-    with pytest.raises(ValueError, match=r"inset = 0\.45: must be 0.*leave out inset"):
-        make_cylinder(Fixed(), bodies=(Cylinder(diameter=16, inset=0.45),))
 
 
 @pytest.mark.parametrize("corner", [(MARGIN, MARGIN), (SIZE - 1 - MARGIN, SIZE - 1 - MARGIN)])

@@ -290,36 +290,6 @@ def test_stream_enters_at_the_speed_of_one_level():
 FISH = Fish(body_length=16)
 
 
-def test_box_of_a_patch_that_stays_is_refused() -> None:
-    with pytest.raises(ValueError, match="leave within out"):
-        Patch(centre=(80.0, 48.0), within=((60.0, 0.0), (100.0, 96.0)))
-
-
-def test_patch_without_a_node_for_its_parent_is_refused() -> None:
-    with pytest.raises(ValueError, match="greater than or equal to 8"):
-        Patch(bodies=(), size=(7.0, 20.0), centre=(80.0, 48.0))
-
-
-@pytest.mark.parametrize(
-    ("changes", "problem"),
-    [
-        ({"width": 160}, "take 159 or 161"),
-        ({"width": 65, "height": 49}, "covers 48 x 48 nodes on its coarsest level"),
-        ({"sponges": (Sponge(length=120),)}, "away from edges and sponges"),
-        ({"patches": (Patch(bodies=(0, 1)),)}, r"hold the bodies \[0, 1\] of 1"),
-        ({"bodies": ()}, "at least one patch"),
-        (
-            {"patches": (Patch(within=((60.0, 0.0), (100.0, 96.0))),)},
-            "there are 40 x 88 away from edges and sponges in its box",
-        ),
-    ],
-)
-def test_refused_levels_name_what_works(changes, problem):
-    given = {"width": 161, "height": 97, "tau": 0.6, "bodies": (FISH,), "levels": 2}
-    with pytest.raises(ValueError, match=problem):
-        FlowConfig(**given | changes)
-
-
 @pytest.mark.parametrize("levels", [2, 3, 4])
 def test_patch_that_stays_ends_where_bodies_must(levels):
     config = FlowConfig(
@@ -342,9 +312,3 @@ def test_patch_that_stays_ends_where_bodies_must(levels):
     assert config.edges == ((0, 0), (320 - 24, 160))
     with pytest.raises(ValueError, match="away from edges and sponges"):
         replace(config, patches=(Patch.between((310.0, 0.0), (320.0, 50.0)),)).list_grids()
-
-
-def test_state_without_patches_is_refused():
-    config = make_swimmer(16, levels=2)
-    with pytest.raises(ValueError, match="make_patches"):
-        step(FlowState(make_rest(config, 1), (place_body(57.0, 24.0),)), config)

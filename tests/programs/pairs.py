@@ -43,12 +43,11 @@ def read_classifiers(folder: Path) -> list[str]:
     return [f"seed={seed}" for seed in found]
 
 
-def read_json(key: str) -> Callable[[Path], list[str]]:
-    def read(folder: Path) -> list[str]:
-        found = [json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("*.json")]
-        return [f"{key}={each[key]}" for each in found]
-
-    return read
+def read_json(show: Callable[[Any], str], name: str = "*.json") -> Callable[[Path], list[str]]:
+    """Return what reads all results of a name and shows each."""
+    return lambda folder: [
+        show(json.loads(path.read_text(encoding="utf-8"))) for path in folder.glob(name)
+    ]
 
 
 def read_fields(folder: Path) -> list[str]:
@@ -151,11 +150,6 @@ def read_report(folder: Path) -> list[str]:
     return [f"cases=[{found[0]}]"]
 
 
-def read_benchmark(folder: Path) -> list[str]:
-    results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-    return [f"rounds={results['settings']['rounds']}"]
-
-
 def read_transfer(folder: Path) -> list[str]:
     results = json.loads((folder / "transfer.json").read_text(encoding="utf-8"))
     (arm,) = results["arms"]
@@ -215,7 +209,7 @@ PAIRS = {
     "evaluation": Pair(
         program="evaluate",
         words=[*POLICY, *GLIDING, "task.time_limit=2", "episodes=1", "save={}/row.json"],
-        read=read_json("seed"),
+        read=read_json(lambda row: f"seed={row['seed']}"),
     ),
     "zarr": export("zarr", read_fields, touches=250),
     "recording": Pair(
@@ -264,9 +258,7 @@ OTHERS = {
             *("flows.num_envs=32", "save={}/row.json"),
         ],
         values=("trained=1", "trained=2"),
-        read=lambda folder: [
-            word.replace("_decisions", "") for word in read_json("trained_decisions")(folder)
-        ],
+        read=read_json(lambda row: f"trained={row['trained_decisions']}"),
     ),
     "netcdf": export("nc", read_fields),
     "vtk": export("pvd", read_vtk, **DURATIONS),
@@ -281,7 +273,7 @@ OTHERS = {
         program="benchmark",
         words=["groups=[probe]", "body_length=80", "burst=0.01", "threads=1", "folder={}"],
         values=("rounds=2", "rounds=3"),
-        read=read_benchmark,
+        read=read_json(lambda found: f"rounds={found['settings']['rounds']}", "results.json"),
         glides=False,
     ),
     "validation": Pair(

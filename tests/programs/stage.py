@@ -3,7 +3,6 @@
 Programs are forked from a process that has imported them, so that a pair of them costs little.
 """
 
-import atexit
 import importlib
 import json
 import os
@@ -49,11 +48,6 @@ class Act:
         return self._out.with_suffix(".held").exists()
 
     @property
-    def num_events(self) -> int:
-        """How often it has touched a file in its folder, once it has ended."""
-        return int(self._out.with_suffix(".events").read_text())
-
-    @property
     def said(self) -> str:
         return self._out.read_text(encoding="utf-8")
 
@@ -95,26 +89,13 @@ class Stage:
         print(json.dumps(request), file=self._process.stdin, flush=True)
         return json.loads(self._process.stdout.readline())
 
-    def start(
-        self,
-        program: str,
-        words: Sequence[str],
-        *,
-        folder: Path,
-        hold_at: int = 0,
-        glides: bool = False,
-        idles: bool = False,
-    ) -> Act:
-        """Start a program; it stops at its ``hold_at``-th touch of a file in the folder.
-
-        With ``idles`` it ends with status ``WORKED`` where it would advance a flow.
-        """
+    def start(self, program: str, words: Sequence[str], *, folder: Path, **how: Any) -> Act:
+        """Start a program in the ways of ``play``."""
         self._num += 1
         out = self._folder / f"{self._num}.txt"
         out.touch()
         request = {"program": program, "words": list(words), "out": str(out)}
-        request |= {"folder": str(folder), "hold_at": hold_at, "glides": glides, "idles": idles}
-        return Act(self, self.ask(**request), out)
+        return Act(self, self.ask(**request, folder=str(folder), **how), out)
 
     def close(self) -> None:
         assert self._process.stdin and self._process.stdout
@@ -124,15 +105,14 @@ class Stage:
 
 
 def play(
-    program: str,
-    words: Sequence[str],
-    out: str,
-    folder: str,
-    hold_at: int,
-    glides: bool,
-    idles: bool,
-) -> None:
-    """Run a program in this process, and end it."""
+    program: str, words: Sequence[str], out: str, folder: str,
+    hold_at: int = 0, glides: bool = False, idles: bool = False,
+) -> None:  # fmt: skip
+    """Run a program in this process, and end it.
+
+    It stops at its ``hold_at``-th touch of a file in the folder. With ``glides`` fish move without
+    a flow; with ``idles`` it ends with status ``WORKED`` where it would advance one.
+    """
     text = os.open(out, os.O_WRONLY | os.O_APPEND)
     os.dup2(text, 1)
     os.dup2(text, 2)
@@ -159,7 +139,6 @@ def play(
 
         for kind, name in ((FlowEnv, "_step"), (InPlaceSolver, "advance_")):
             pytest.MonkeyPatch().setattr(kind, name, lambda *_, **__: os._exit(WORKED))
-    atexit.register(lambda: here.with_suffix(".events").write_text(str(count)))
     sys.argv = [program, *words]
     sys.addaudithook(notice)
     importlib.import_module(find_module(program)).main()

@@ -162,8 +162,6 @@ def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.Monkey
          "task.time_limit=4"]
     )  # fmt: skip
     export_data.main.run(settings)
-    with pytest.raises(ValueError, match="exists: increase the version"):
-        export_data.main.run(settings)
     data = minari.load_dataset("fishrl/pursuit-v0")
     episodes = list(data.iterate_episodes())
     assert len(episodes) == 3

@@ -115,13 +115,3 @@ def test_advised_commands_run_here(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_unknown_baseline_suggests_policy(policy: str, said: str) -> None:
     with pytest.raises(SystemExit, match=f"{policy}.* {said}"):
         evaluate.main([f"policy={policy}"])
-
-
-def test_unwritable_result_stops_evaluation_early(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(evaluate, "evaluate", lambda *_, **__: pytest.fail("evaluated first"))
-    with pytest.raises(SystemExit, match=r"error: no folder .*nowhere: make it first"):
-        evaluate.main(["policy=random", f"save={tmp_path / 'nowhere' / 'x.json'}"])
-    with pytest.raises(SystemExit, match=r"error: .*: cannot be written; choose another"):
-        evaluate.main(["policy=random", f"save={tmp_path}"])

@@ -191,8 +191,6 @@ def test_curves_average_runs_that_reached_a_frame(sweep: Path) -> None:
 def test_incomplete_runs_are_named(tmp_path: Path) -> None:
     (tmp_path / "lateral-line").mkdir()  # a study that trains no policy
     write_yaml(tmp_path / "lateral-line" / "config.yaml", {"num_samples": 6000, "seed": 0})
-    with pytest.raises(ValueError, match="holds no runs; give the folder of a sweep"):
-        read_runs(tmp_path)
     (tmp_path / "gamma_2").mkdir()
     (tmp_path / "gamma_2" / "failure.txt").write_text("gamma = 2: must be at most 1\n")
     with pytest.raises(ValueError, match=r"no run has begun\n.*\n.*gamma_2: .* must be at most 1"):

@@ -89,12 +89,6 @@ def test_command_line_overrides_sweep_of_experiment(tmp_path: Path) -> None:
         assert paths == [Path(f"runs/own/seed_{seed}") for seed in seeds]
 
 
-@pytest.mark.parametrize("argument", ["name=x", "resume=runs/x", "folder=a,b"])
-def test_name_and_folder_of_runs_cannot_be_set(argument: str) -> None:
-    with pytest.raises(ValueError, match="sets name and resume itself"):
-        plan_jobs([argument])
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

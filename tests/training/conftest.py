@@ -1,6 +1,7 @@
 """Trainings of the point fish, small enough for a second each."""
 
 import csv
+import itertools
 import resource
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -11,7 +12,8 @@ import pytest
 import torch
 
 from fishrl.envs import Flows
-from fishrl.training import Callback, Plan, Training, open_run
+from fishrl.training import Algorithm, Callback, Plan, Training, open_run
+from fishrl.training.learner import Learner
 from fishrl.training.run_folder import RunFolder, write_yaml
 from tests.training.toy_fish import ToyPredation, make_any_env
 
@@ -65,6 +67,16 @@ class Toy:
         plan = make_toy_plan(self.folder, **settings)
         self.trainings.append(Training(open_run(plan), callbacks=callbacks))
         return self.trainings[-1]
+
+    def collect(
+        self, algorithm: Algorithm, num: int = 8, *, task: Any = None, **settings: Any
+    ) -> Learner:
+        """Return a learner with the transitions of some decisions of all flows."""
+        kind = {"is_continuous": algorithm.takes_continuous and not algorithm.takes_discrete}
+        training = self.begin(algorithm=algorithm, task=kind | (task or {}), **settings)
+        for batch in itertools.islice(training.collector, num):
+            training.learner.store(batch.reshape(-1))
+        return training.learner
 
     def reopen(self, name: str, **changes: Any) -> Training:
         for training in self.trainings:

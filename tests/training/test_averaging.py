@@ -34,11 +34,7 @@ ALGORITHMS = [DiscreteSAC(), SAC(), DQN(), DRQN(), PPO(rollout_length=8)]
 def test_policy_is_the_mean_of_those_after_each_gradient_step(
     toy: Toy, algorithm: Algorithm
 ) -> None:
-    task = {"is_continuous": algorithm.takes_continuous and not algorithm.takes_discrete}
-    learner = toy.begin(algorithm=algorithm, task=task, actor_average=10_000).learner
-    batches = iter(toy.trainings[-1].collector)
-    for _ in range(8):
-        learner.store(next(batches).reshape(-1))
+    learner = toy.collect(algorithm, actor_average=10_000)
     seen: list[dict[str, torch.Tensor]] = []
     for _ in range(6):  # some are traced
         learner.update()

@@ -79,14 +79,6 @@ def test_only_disk_errors_are_reported_as_such(tmp_path: Path, error: Exception)
     assert not (tmp_path / "last").exists()
 
 
-def test_missing_checkpoint_error_names_the_remedy(tmp_path: Path) -> None:
-    (tmp_path / "checkpoints").mkdir()
-    (tmp_path / "empty").mkdir()
-    for path in (tmp_path, tmp_path / "empty", tmp_path / "nothing"):
-        with pytest.raises(ValueError, match="there is none; give the folder of a run"):
-            load(path)
-
-
 def test_file_that_is_missing_cut_or_changed_is_noticed(tmp_path: Path) -> None:
     save(tmp_path / "last")
     files = [path for path in (tmp_path / "last").rglob("*") if path.is_file()]

@@ -134,16 +134,6 @@ def test_collectors_use_newest_weights_and_count_frames(
     training.close()
 
 
-@pytest.mark.cluster
-def test_cluster_that_is_too_small_is_refused(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
-    import ray
-
-    monkeypatch.setattr(ray, "is_initialized", lambda: True)
-    monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 1.0})
-    with pytest.raises(ValueError, match="the cluster has 1 CPUs, and each takes one"):
-        toy.begin(ray_collectors=2)
-
-
 def list_losses() -> list[type[Exception]]:
     """List Ray's errors, but for those of a collector's own code."""
     from ray import exceptions

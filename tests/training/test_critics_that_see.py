@@ -1,32 +1,19 @@
 """Critics read what the task gives to them alone; policies neither need nor notice it."""
 
-from typing import Any
-
 import pytest
 import torch
 
 from fishrl.envs import Flows
 from fishrl.training import Algorithm, DiscreteSAC, evaluate
-from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
-from fishrl.training.learner import Learner
 from tests.training.conftest import QUICK, Toy
 from tests.training.toy_fish import ToyPredation
 
 ALGORITHMS = [DiscreteSAC(), SAC(), PPO(rollout_length=8)]
 #: Names of the value losses of these algorithms.
 VALUE_LOSSES = {"loss_qvalue", "loss_critic"}
-
-
-def collect(toy: Toy, algorithm: Algorithm, **task: Any) -> Learner:
-    """Return a learner that can learn."""
-    task["is_continuous"] = isinstance(algorithm, SAC)
-    training = toy.begin(algorithm=algorithm, task=task)
-    batches = iter(training.collector)
-    for _ in range(8):
-        training.learner.store(next(batches).reshape(-1))
-    return training.learner
+SEEING = {"critic_observes": ("heading",)}
 
 
 @pytest.mark.parametrize("reads_stack", [True, False])
@@ -34,7 +21,7 @@ def collect(toy: Toy, algorithm: Algorithm, **task: Any) -> Learner:
 def test_values_depend_on_what_critics_see_and_actions_do_not(
     toy: Toy, algorithm: Algorithm, reads_stack: bool
 ) -> None:
-    learner = collect(toy, algorithm, critic_observes=("heading",), critic_reads_stack=reads_stack)
+    learner = toy.collect(algorithm, task=SEEING | {"critic_reads_stack": reads_stack})
     batch = learner.buffer[:]
     assert batch["critic_stack"].shape == batch["next", "critic_stack"].shape == (64, 4)
     losses, policies = [], []
@@ -57,23 +44,14 @@ def test_values_depend_on_what_critics_see_and_actions_do_not(
 
 
 def test_estimates_of_ppo_bootstrap_from_what_its_critic_sees(toy: Toy) -> None:
-    algorithm = PPO(rollout_length=8)
-    learner = collect(toy, algorithm, critic_observes=("heading",), critic_reads_stack=False)
+    learner = toy.collect(PPO(rollout_length=8), task=SEEING | {"critic_reads_stack": False})
     values = learner.buffer[:]["value_target"]
     assert values.std() > 0.0
     assert learner.update()["loss_critic"] > 0.0
 
 
-def test_algorithm_without_a_critic_is_refused(toy: Toy) -> None:
-    said = r"task.critic_observes = \('heading',\): DQN has no critic .* discrete_sac, ppo, sac"
-    with pytest.raises(ValueError, match=said):
-        toy.begin(algorithm=DQN(), task={"critic_observes": ("heading",)})
-
-
 def test_policy_acts_in_a_task_without_what_critics_saw(toy: Toy) -> None:
-    task = {"critic_observes": ("heading",)}
-    training = toy.begin(name="run", task=task, total_frames=120, **QUICK)
-    summary = training.run()
+    summary = toy.begin(name="run", task=SEEING, total_frames=120, **QUICK).run()
     few = {"episodes": 2, "flows": Flows(num_envs=2)}
     result = evaluate(toy.folder / "run", task=ToyPredation(), **few)
     assert result["mean_return"] == summary["mean_return"]

@@ -30,13 +30,9 @@ def test_advantages_match_the_definition_of_gae(toy: Toy) -> None:
     """Schulman et al. 2016, eq. 16; a truncated episode bootstraps, a terminated one does not."""
     length, gamma, decay = 40, 0.9, 0.8
     algorithm = PPO(rollout_length=length, gae_lambda=decay)
-    training = toy.begin(algorithm=algorithm, gamma=gamma, task={"time_limit": 12})
-    batches = iter(training.collector)
-    for _ in range(length):
-        training.learner.store(next(batches).reshape(-1))
-    kept = training.learner.buffer[:].reshape(8, length)
-    critic = training.learner.loss.critic_network
-    with training.learner.loss.critic_network_params.to_module(critic), torch.no_grad():
+    learner = toy.collect(algorithm, length, gamma=gamma, task={"time_limit": 12})
+    kept, critic = learner.buffer[:].reshape(8, length), learner.loss.critic_network
+    with learner.loss.critic_network_params.to_module(critic), torch.no_grad():
         before = critic(kept.clone())["state_value"]
         after = critic(kept["next"].clone())["state_value"]
     done, terminated = (kept["next", name] for name in ("done", "terminated"))

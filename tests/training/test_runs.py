@@ -182,11 +182,8 @@ def test_resume_stores_changes_and_keeps_entries_of_programs(toy: Toy) -> None:
     write_yaml(config, read_config(config) | {"picture_episodes": 6})
     run_and_stop(toy.reopen("run", total_frames=160), ToyFishEnv, step=3)
     stored = read_config(config)
-    assert (stored["total_frames"], stored["picture_episodes"], stored["flows"]["num_envs"]) == (
-        160,
-        6,
-        8,
-    )
+    assert (stored["total_frames"], stored["picture_episodes"]) == (160, 6)
+    assert stored["flows"]["num_envs"] == 8
     assert toy.reopen("run").run()["frames"] == 160
     for wrong in ({"gamma": 0.9}, {"flows": Flows(num_envs=4)}, {"total_frame": 200}):
         with pytest.raises(ValueError, match=r"is fixed in a run|did you mean 'total_frames'"):

@@ -17,17 +17,12 @@ from tests.training.conftest import Toy
 ALGORITHMS = [DiscreteSAC(), SAC(), DQN(), DRQN(), DRQN(is_double=True), PPO(rollout_length=8)]
 
 
-def learn(toy: Toy, algorithm: Algorithm, **settings: object) -> tuple[Learner, TensorDictBase]:
-    """Return a learner of scaled inputs after six gradient steps, and the newest states."""
-    task = {"is_continuous": algorithm.takes_continuous and not algorithm.takes_discrete}
-    training = toy.begin(algorithm=algorithm, task=task, scale_inputs=True, **settings)
-    batches = iter(training.collector)
-    for _ in range(8):
-        batch = next(batches).reshape(-1)
-        training.learner.store(batch)
+def learn(toy: Toy, algorithm: Algorithm, **settings: object) -> Learner:
+    """Return a learner of scaled inputs after six gradient steps."""
+    learner = toy.collect(algorithm, scale_inputs=True, **settings)
     for _ in range(6):
-        training.learner.update()
-    return training.learner, batch
+        learner.update()
+    return learner
 
 
 @pytest.mark.parametrize("hidden", [(16,), (16, 16)], ids=["one layer", "two layers"])
@@ -35,8 +30,8 @@ def learn(toy: Toy, algorithm: Algorithm, **settings: object) -> tuple[Learner, 
 def test_saved_policy_equals_the_one_that_learns(
     toy: Toy, algorithm: Algorithm, hidden: tuple[int, ...]
 ) -> None:
-    learner, states = learn(toy, algorithm, hidden=hidden)
-    answers = []
+    learner, answers = learn(toy, algorithm, hidden=hidden), []
+    states = next(iter(toy.trainings[0].collector)).reshape(-1)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         for policy in (learner.actor, learner.explorer):
             written = policy(states.clone())
@@ -47,7 +42,7 @@ def test_saved_policy_equals_the_one_that_learns(
 
 
 def test_loss_reads_zero_mean_and_unit_deviation(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
-    learner, _ = learn(toy, DQN())
+    learner = learn(toy, DQN())
     seen: list[TensorDictBase] = []
     monkeypatch.setattr(learner.loss, "forward", lambda batch: seen.append(batch) or {})
     with pytest.raises(AttributeError):  # there are no losses

@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.training import Algorithm, DiscreteSAC
+from fishrl.training import DiscreteSAC
 from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.learner import Learner
@@ -20,15 +20,10 @@ ALGORITHMS = [DiscreteSAC(norms_critics=True), DQN(is_double=True), SAC()]
 @pytest.fixture(params=ALGORITHMS, ids=lambda algorithm: type(algorithm).__name__)
 def learner(request: pytest.FixtureRequest, toy: Toy) -> Learner:
     """Return a learner with transitions, and a few steps taken."""
-    algorithm: Algorithm = request.param
-    task = {"is_continuous": algorithm.takes_continuous}
-    training = toy.begin(algorithm=algorithm, warmup_frames=10_000, task=task)
-    batches = iter(training.collector)
-    for _ in range(20):
-        training.learner.store(next(batches).reshape(-1))
+    learner = toy.collect(request.param, 20, warmup_frames=10_000)
     for _ in range(4):
-        training.learner.update()
-    return training.learner
+        learner.update()
+    return learner
 
 
 def step(learner: Learner, seed: int) -> dict[str, Tensor]:

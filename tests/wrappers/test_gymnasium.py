@@ -16,7 +16,6 @@ from tests.envs.conftest import CONTINUOUS, SMALL
 from tests.envs.small_tasks import MaskedTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
-MODES = [mode.value for mode in AutoresetMode]
 LIMIT = 3
 
 

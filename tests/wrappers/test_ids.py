@@ -40,14 +40,10 @@ def test_ids_make_vector_and_single_environments() -> None:
     env.reset(seed=3)
     while not any(env.step(1)[2:4]):
         pass
-    with pytest.raises(ValueError, match=r"the episode is over: call reset\(\) first"):
-        env.step(1)
     for made in (envs, env):
         made.close()
     with pytest.raises(ValueError, match="body_lenght"):
         gymnasium.make("fishrl/Predation-v0", body_lenght=50)
-    with pytest.raises(ValueError, match=r"use gymnasium\.make_vec"):
-        gymnasium.make("fishrl/Predation-v0", num_envs=4, **SETTINGS)
 
 
 def test_presets_have_ids() -> None:
@@ -114,8 +110,6 @@ def test_several_fish_pass_pettingzoo_test(control: Turn) -> None:
     env.close()
     with pytest.raises(ValueError, match=r"one flow, not 2: flows=Flows\(num_envs=1\)"):
         FlowParallelEnv(make_env(task=task, flows=Flows(num_envs=2, compile=False)))
-    with pytest.raises(ValueError, match="Predation has one fish"):
-        FlowParallelEnv(make_env(task=Predation(**SMALL), flows=Flows(num_envs=1, compile=False)))
 
 
 def test_pair_is_rendered() -> None:
@@ -123,8 +117,6 @@ def test_pair_is_rendered() -> None:
         task=PredationPair(**SMALL, time_limit=3), flows=Flows(num_envs=1, compile=False)
     )
     env = FlowParallelEnv(flow, render_mode="rgb_array")
-    with pytest.raises(ValueError, match=r"reset\(\) first"):
-        env.render()
     env.reset(seed=1)
     first = env.render()
     env.step({"fish_0": 1, "fish_1": 1})

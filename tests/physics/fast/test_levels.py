@@ -216,23 +216,6 @@ def test_flow_continues_bit_for_bit_from_its_populations() -> None:
     second.close()
 
 
-@pytest.mark.parametrize(
-    ("change", "problem"),
-    [
-        (lambda f: f[0], "f has populations of 1 grids, the flow has 2"),
-        (lambda f: [f[0], f[0]], "f has shape"),
-    ],
-)
-def test_populations_of_other_grids_are_refused(change: Any, problem: str) -> None:
-    solver = start(make_config())
-    before = solver.state_dict()
-    with pytest.raises(ValueError, match=problem):
-        solver.set_populations_(change([solver.populations(grid) for grid in (0, 1)]))
-    assert all(torch.equal(value, before[name]) for name, value in solver.state_dict().items())
-    with pytest.raises(ValueError, match="there is no grid 2: the flow has 2"):
-        solver.populations(2)
-
-
 @pytest.mark.compile
 @pytest.mark.parametrize(
     "bodies", [(), pytest.param((FISH,), marks=pytest.mark.slow)], ids=["no body", "fish"]

@@ -27,17 +27,11 @@ def reset_in_stream(solver: InPlaceSolver, speed: float) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda s: s.advance_(3), "num_steps = 3: must be a multiple of 2"),
-        (lambda s: s.command_(TURN, 1), "num_steps = 1: a turn takes at least two steps"),
         (lambda s: s.advance_(2, rows=[True]), r"rows = \[True\]: give a tensor"),
         (lambda s: s.advance_(2, rows=torch.ones(3)), "type torch.float32: give .* torch.bool"),
-        (lambda s: s.command_(TURN[:1], 2), r"turn has shape \(1,\)"),
-        (lambda s: s.command_(TURN * torch.nan, 2), "turn = .*: must be finite"),
-        (lambda s: s.command_(0.2, 2), "turn = 0.2: give a tensor"),
         (lambda s: s.command_(torch.zeros(3, 2), 2), "there is no body 1: the flow has 1"),
         (lambda s: s.command_(TURN, 2, torch.zeros(3, 1)), r"frequency has shape \(3, 1\)"),
         (lambda s: s.sample(torch.zeros(1, 5, 2)), r"points has shape \(1, 5, 2\)"),
-        (lambda s: s.set_stream_speed_(torch.ones(1)), r"speed has shape \(1,\)"),
         (lambda s: s.set_body_(0, make_params([TANK]).bodies[0]), r"params has shape \(1, .*\(3"),
         (lambda s: s.set_populations_(torch.zeros(3, 9, 2, 2)), "f has shape"),
         (lambda s: s.reset_(torch.ones(2), STARTS, HEADINGS), "rows has shape"),

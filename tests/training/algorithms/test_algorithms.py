@@ -35,8 +35,6 @@ def test_algorithm_refuses_actions_that_it_does_not_learn(
 
 
 def test_settings_that_do_not_fit_the_algorithm_are_refused(toy: Toy) -> None:
-    with pytest.raises(ValueError, match="epsilon_end"):
-        DQN(epsilon_end=0.2, epsilon_start=0.1)
     for algorithm, wrong, said in (
         (PPO(rollout_length=8), {"batch_size": 66}, "66: .* algorithm.rollout_length = 64"),
         (DRQN(sequence_length=4), {"batch_size": 66}, "66: must be a multiple of .* = 4"),

@@ -11,13 +11,10 @@ ALGORITHM = DRQN(sequence_length=4, epsilon_frames=60)
 
 
 def test_sampled_sequences_do_not_cross_episodes(toy: Toy) -> None:
-    training = toy.begin(algorithm=ALGORITHM, task={"divergence_rate": 0.05}, updates_per_frame=0.0)
-    batches = iter(training.collector)
-    for _ in range(40):
-        training.learner.store(next(batches).reshape(-1))
+    learner = toy.collect(ALGORITHM, 40, task={"divergence_rate": 0.05})
     num_short = 0
     for _ in range(20):
-        batch = training.learner.buffer.sample().reshape(-1, 4)
+        batch = learner.buffer.sample().reshape(-1, 4)
         is_real = batch["collector", "mask"]
         steps = batch["step_count"].squeeze(-1)
         traj = batch["collector", "traj_ids"].reshape(steps.shape)
