@@ -77,5 +77,9 @@ def heeds_ctrl_c() -> Iterator[None]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run physics and environments first, on which all others depend."""
+    """Run physics and environments first, on which all others depend, and skip without CUDA."""
+    if not torch.cuda.is_available():
+        for item in items:
+            if item.get_closest_marker("gpu"):
+                item.add_marker(pytest.mark.skip(reason="there is no CUDA"))
     items.sort(key=lambda item: not item.nodeid.startswith(("tests/physics", "tests/envs")))

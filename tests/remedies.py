@@ -26,7 +26,6 @@ from fishrl.physics import (
     Fish,
     FlowConfig,
     FlowState,
-    Free,
     Gait,
     ImmersedBoundary,
     InPlaceSolver,
@@ -78,11 +77,6 @@ NEAR = LEVELS | {"bodies": (Cylinder(diameter=9),) * 2}
 TWO, BOTH = (Patch(bodies=(0,)), Patch(bodies=(1,))), (Patch(bodies=(0, 1), size=(97, 97)),)
 WAVE = torch.sin(0.1 * torch.arange(500, dtype=torch.float64))
 SMALLEST = flow(width=32, height=24)
-
-
-def body(*, skin: Any = None, **given: Any) -> FlowConfig:
-    """Make a flow with one cylinder."""
-    return flow(bodies=(Cylinder(**{"diameter": 20} | given),), skin=skin or BounceBack())
 
 
 def solver(**given: Any) -> InPlaceSolver:
@@ -157,7 +151,6 @@ FLOWS: list[tuple[Any, ...]] = [
     (lambda skin: flow(bodies=flow(bodies=(BALL,)).bodies, skin=skin), SOFT, BounceBack()),
     (step_on_levels, False, True),
     (flow, "bodies", (Cylinder(diameter=9), Fish(body_length=24)), (Fish(body_length=24),)),
-    (partial(flow, boundaries=FAST), "stream_speed", 1.0, 0.5),
     (lambda left: Boundaries(left=left), Periodic(), FAST.left),
     (lambda Sponge: flow(sponges=(Sponge,)), TOP(length=65), TOP(length=60)),
     (lambda body: flow(bodies=(Cylinder(diameter=body),)), 70, 50),
@@ -177,9 +170,6 @@ FLOWS: list[tuple[Any, ...]] = [
     (run, "num_steps", 0, 2),
     (lambda f: run(state=FlowState(start_stream(SMALLEST).f.to(f), ())), torch.half, torch.float),
     (go_through, True, False),
-    (partial(body, skin=BounceBack()), "inset", 0.4, OUT),
-    (body, "num_markers", 20, OUT),
-    (partial(body, diameter=16, density_ratio=0.7, motion=Free()), "skin", SOFT, OUT),
     (IterativeForcing, "relaxation", 2.0, 1.9),
     (lambda bodies: step(start_stream(flow()), flow(bodies=bodies)), (BALL,), ()),
     (fish, "num_markers", 101, 102),
@@ -280,7 +270,6 @@ ENVS: list[tuple[Any, ...]] = [
     (gait, "start_flows", (), (0, 1)),
     (steer, 4, 1),
     (lambda steering: KarmanGait(**IN_STREAM, steering=steering).mirror, PolicySteering(), PID),
-    (lambda start_x_bl: food(start_x_bl=start_x_bl), (9.9, 9.9), (5.0, 9.9)),
     (food, "start_x_bl", (2.0, 7.5), (4.5, 7.5)),
     (lambda away: check_starts(head=FOOD.double() + away), 0.0, 30.0),
     (lambda food_direction: hunt(food_direction).mirror, "up", "random"),

@@ -70,9 +70,7 @@ def test_policy_from_before_levels_keeps_its_grid(name: str) -> None:
         assert (task.body_length, task.levels) == (stored["body_length"], stored["levels"])
 
 
-def test_zoo_name_gives_way_to_a_folder_of_that_path(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_zoo_gives_way_to_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match=f"did you mean '{NAMES[0]}'"):
         load_policy(f"zoo/{NAMES[0]}x")
     monkeypatch.chdir(tmp_path)

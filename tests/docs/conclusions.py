@@ -36,9 +36,7 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
             off(measured("compressibility", f"{what}: default speed / half of it"), 1.0)
             for what in ("swimming speed, L = 100", *(f"{x} of the cylinder" for x in DRAG_LIFT))
         ],
-        "lift amplitude # % low": lambda: [
-            -off(measured(*LIFTED, "D = 20"), measured(*LIFTED)),
-        ],
+        "lift amplitude # % low": lambda: [-off(measured(*LIFTED, "D = 20"), measured(*LIFTED))],
         "adds # %, # % and # % and halves": lambda: [
             off(case["0.14 nodes per step"], case["0.07 nodes per step"]) for case in FAST.values()
         ],
@@ -49,7 +47,7 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
     BODY: {
         "the two drags differ by # %": lambda: [
             off(*map(float, find(BODY, "drag #, lift 0.446; immersed boundary #")))
-        ],
+        ]
     },
     RESULTS: {
         "a fish of 32 nodes swims at # to # of its converged speed and one of 50 nodes at # "
@@ -155,9 +153,7 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
             for choose in (min, max)
         ],
     },
-    STREAM: {
-        "= # N per metre of depth": lambda: [1000 * 0.04**3 * 3**2],
-    },
+    STREAM: {"= # N per metre of depth": lambda: [1000 * 0.04**3 * 3**2]},
 }
 
 #: By page: what it concludes in words, and whether its numbers say so.
@@ -182,7 +178,7 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
     BODY: {
         "20 nodes across the body give the drag within 1 %": lambda: (
             abs(off(measured("channel-cylinder", "C_d, Re = 20", "D = 20"), 5.5795)) < 1.0
-        ),
+        )
     },
     RESULTS: {
         "**Controllers are better** in predation and behind a leader, and as good in station "
@@ -227,7 +223,7 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
         "grows at first order towards 1.35 L": lambda: (
             0.8 < log2((1.0931 - 0.78992) / (1.2326 - 1.0931)) < 1.2
             and round(measured("c-start", EXTRAPOLATED), 2) == 1.35
-        ),
+        )
     },
     CHANGING: {
         "no source of labels changes how long the fish lasts.": lambda: overlap(
@@ -283,7 +279,7 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
     },
     ALGORITHMS: {
         "SAC converges significantly faster than DRQN; its lead over DQN and double DQN is "
-        "not significant.": lambda: claims.check_algorithms() is None,
+        "not significant.": lambda: claims.check_algorithms() is None
     },
     SPEED: {
         "Both goals are missed.": lambda: all(

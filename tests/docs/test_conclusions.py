@@ -26,9 +26,7 @@ def _list(entries: dict[str, dict[str, Any]]) -> list[Any]:
 
 
 @pytest.mark.parametrize(("page", "words", "compute"), _list(NAMED))
-def test_numbers_of_a_conclusion_follow_from_others(
-    page: str, words: str, compute: Callable[[], Numbers]
-) -> None:
+def test_numbers_in_conclusion_hold(page: str, words: str, compute: Callable[[], Numbers]) -> None:
     check_numbers(find(page, words), compute())
 
 

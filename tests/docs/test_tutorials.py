@@ -49,9 +49,7 @@ def make_printed_tasks(code: str, names: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("page", ["../README.md", *list_pages()])
-def test_python_blocks_of_page_run(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_python_of_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", make_streams)
     names: dict[str, Any] = {"__name__": "__main__", **SIZES}

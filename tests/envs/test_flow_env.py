@@ -70,9 +70,7 @@ def test_resting_row_stands_still_and_affects_no_other(small_task: Predation) ->
         assert torch.equal(after[key][[0, 2]], expected[key][[0, 2]])
 
 
-def test_diverged_row_is_truncated_alone_with_reward_0(
-    small_task: Predation, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_diverged_row_is_truncated(small_task: Predation, caplog: pytest.LogCaptureFixture) -> None:
     env, intact = make_twins(small_task)
     before = env.now.clone()
     env.solver.body.position[1] = torch.nan

@@ -137,9 +137,7 @@ def test_lateral_line_is_observed_with_its_change() -> None:
     [(1.0, 0, (0.25, 0.5, 0.75, 1.0)), (0.5, 0, (0.125, 0.25, 0.375, 0.5)),
      (1.0, 2, (-0.25, 0.0, 0.25, 0.5))],
 )  # fmt: skip
-def test_lateral_line_is_a_series_over_the_interval(
-    interval_T: float, delay: int, expected: tuple[float, ...]
-) -> None:
+def test_line_is_a_series(interval_T: float, delay: int, expected: tuple[float, ...]) -> None:
     line = LateralLine(num_neuromasts=3, num_samples=4, features=("t", "u_x"), delay=delay)
     env, state = begin(2, lateral_line=line, control_interval_T=interval_T)
     assert env.task.interval_T == pytest.approx(interval_T, abs=0.01)
@@ -155,9 +153,7 @@ def test_lateral_line_is_a_series_over_the_interval(
 
 
 @pytest.mark.parametrize(("x", "is_first"), [(0.7, False), (0.42, True)])
-def test_last_sample_is_repeated_after_termination(
-    monkeypatch: pytest.MonkeyPatch, x: float, is_first: bool
-) -> None:
+def test_last_sample_is_repeated(monkeypatch: pytest.MonkeyPatch, x: float, is_first: bool) -> None:
     """The nose reaches x = 0.4 L within the action, or before the first sample.
 
     Rows that share a launch move on after their end; what they sense then is ignored.

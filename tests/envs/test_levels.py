@@ -65,9 +65,7 @@ EVERY = (
 
 
 @pytest.mark.parametrize("task", EVERY, ids=lambda task: type(task).__name__)
-def test_rows_of_every_task_reset_diverge_and_resume_alone_on_levels(
-    task: AbstractTask, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_of_every_task_are_alone(task: AbstractTask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fishrl.envs.streams.load_wakes", lambda recipe, _: make_streams(recipe))
     flows = Flows(num_envs=2, compile=False, num_workers=0)
     env, twin = (FlowEnv(task=task, flows=flows, seed=1) for _ in range(2))
@@ -121,9 +119,7 @@ FAR: dict[str, Any] = {
 }
 
 
-def test_episode_begins_in_the_wake_on_all_grids_and_beside_a_patch_of_the_fish(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_episode_begins_in_the_wake_on_all_grids(monkeypatch: pytest.MonkeyPatch) -> None:
     """The grids of the disc are the wake's; a fish that is far has a patch, which they fill."""
 
     def shed(recipe: WakeRecipe, _: str) -> WakeBank:
@@ -147,9 +143,7 @@ def test_episode_begins_in_the_wake_on_all_grids_and_beside_a_patch_of_the_fish(
     assert env.solver.sample(inside)[1][..., 0].min() > 0.5 * float(u[:, 0].mean())
 
 
-def test_fish_that_turns_back_to_the_disc_ends_its_episode_while_its_patch_holds_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_fish_that_turns_back_to_the_disc_ends_its_episode(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fishrl.envs.streams.load_wakes", lambda recipe, _: make_streams(recipe))
     task = KarmanGait(**SHORT | KARMAN | FAR)
     env = FlowEnv(task=task, flows=Flows(num_envs=2, compile=False, num_workers=0), seed=1)

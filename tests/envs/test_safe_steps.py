@@ -78,9 +78,7 @@ def find_largest_speed(
 
 
 @pytest.mark.parametrize("bends", [False, True])
-def test_swimming_fish_stays_below_the_assumed_speed(
-    monkeypatch: pytest.MonkeyPatch, bends: bool
-) -> None:
+def test_fish_stays_below_its_assumed_speed(monkeypatch: pytest.MonkeyPatch, bends: bool) -> None:
     control = Bend(bend_bl=0.2) if bends else Turn(turn_degrees=12.0)
     task = Predation(**TINY | {"wall_margin_bl": 0.3}, control=control)
     largest = find_largest_speed(monkeypatch, task, [[0, 2], [0, 1]])

@@ -8,9 +8,7 @@ from fishrl.envs.schedule import make_schedule
 
 
 @pytest.mark.parametrize(("num_steps", "checks", "frames"), [(562, 20, 8), (106, 7, 1), (6, 3, 3)])
-def test_stops_are_evenly_spaced_up_to_end_of_action(
-    num_steps: int, checks: int, frames: int
-) -> None:
+def test_stops_are_evenly_spaced_in_an_action(num_steps: int, checks: int, frames: int) -> None:
     stops = make_schedule(num_steps, checks=checks, frames=frames)
     steps = [stop.step for stop in stops]
     assert steps == sorted(set(steps)) and steps[0] > 0 and not any(step % 2 for step in steps)

@@ -81,9 +81,7 @@ def test_without_memory_labels_are_the_classifiers_output(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("interpolates", [False, True])
-def test_labels_need_not_be_observed_and_may_be_interpolated(
-    tmp_path: Path, interpolates: bool
-) -> None:
+def test_labels_may_be_hidden_and_interpolated(tmp_path: Path, interpolates: bool) -> None:
     recognition = save(tmp_path, options={"interpolates": interpolates})
     env = make(*recognition.transforms(replace(TASK, observes=("place",))))
     check_env_specs(env, seed=0)

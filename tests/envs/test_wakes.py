@@ -89,9 +89,7 @@ def test_wake_without_vortices_is_refused() -> None:
         develop_wakes(replace(RECIPE, num_travels=4.0), compile=False)
 
 
-def test_concurrent_requests_develop_a_wake_once(
-    bank: WakeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_wake_is_made_once(bank: WakeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, made = tmp_path / f"wakes-{RECIPE.key}.pt", list[str]()
 
     def develop(_: WakeRecipe) -> WakeBank:
@@ -106,9 +104,7 @@ def test_concurrent_requests_develop_a_wake_once(
     assert all(torch.equal(each.populations[0], bank.populations[0]) for each in banks)
 
 
-def test_cache_is_the_users_from_whichever_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cache_is_the_users_in_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     name = f"wakes-{RECIPE.key}.pt"
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     for folder in ("a", "b"):

@@ -15,9 +15,7 @@ pytestmark = [pytest.mark.usefixtures("kinematic"), pytest.mark.sweep]
 FEW: dict[str, Any] = {"total_frames": 8, "eval_frames": 8, "eval_episodes": 1, "baselines": ()}
 
 
-def test_killed_search_continues_its_unfinished_trial(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_killed_search_continues_its_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from examples import search
 
     def go(trials: int) -> Any:

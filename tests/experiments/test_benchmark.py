@@ -42,9 +42,7 @@ def groups(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benchmark, "GROUPS", toys)
 
 
-def test_run_interleaves_cases_and_stores_all_times(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_cases_alternate_and_are_stored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     TURNS.clear()
     main([f"folder={tmp_path}", "threads=1", "rounds=2"])
     assert TURNS == ["a3", "b3"] * 3  # a warm-up and two rounds

@@ -98,9 +98,7 @@ def run_program(
 
 
 @pytest.mark.usefixtures("threads")
-def test_full_run_writes_report_and_fails_with_missed_criterion(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_full_run_fails_with_missed_goal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     status, docs = run_program(tmp_path, monkeypatch, reference=8.0, note="Nine is not eight.")
     assert status == 1
     row = "| square of the last | 9 | 8 ± 1 % | **MISSED**, 12 % |"

@@ -6,19 +6,13 @@ from pathlib import Path
 
 import pytest
 import ray
-import torch
 
 from fishrl.envs import Flows, Predation
 from fishrl.training import Plan, Training, complete, open_run
 from tests.docs.test_tutorials import BRIEF
 from tests.envs.test_real_flow import TINY
 
-pytestmark = [
-    pytest.mark.gpu,
-    pytest.mark.cluster,
-    pytest.mark.xdist_group("cluster"),
-    pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA"),
-]
+pytestmark = [pytest.mark.gpu, pytest.mark.cluster, pytest.mark.xdist_group("cluster")]
 
 
 @pytest.fixture(autouse=True, scope="module")

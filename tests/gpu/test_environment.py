@@ -18,10 +18,7 @@ from tests.envs.test_levels import SHORT
 from tests.envs.test_real_flow import TINY
 from tests.envs.test_real_wake import make_task as make_wake_task
 
-pytestmark = [
-    pytest.mark.gpu,
-    pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA"),
-]
+pytestmark = pytest.mark.gpu
 
 
 FLOW = TINY | BRIEF
@@ -118,9 +115,7 @@ def test_task_that_reads_on_the_host_runs_as_written_which_is_logged_once(
 
 
 @pytest.mark.parametrize("num_before", [0, 2])
-def test_illegal_action_is_refused_by_a_graph_too(
-    num_before: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_graph_refuses_an_illegal_action(num_before: int, monkeypatch: pytest.MonkeyPatch) -> None:
     move_kinematically(monkeypatch)
     env = make_env(task=Predation(**FLOW), flows=Flows(num_envs=2, device="cuda", compile=False))
     state = env.reset()

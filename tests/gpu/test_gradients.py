@@ -9,10 +9,7 @@ from fishrl.physics.bodies.state import make_body
 from fishrl.physics.flow import make_params, make_rest
 from tests.physics.flows import SCALES, make_tank
 
-pytestmark = [
-    pytest.mark.gpu,
-    pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA"),
-]
+pytestmark = pytest.mark.gpu
 
 
 def differentiate(device: str) -> Tensor:

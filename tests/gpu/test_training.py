@@ -19,10 +19,7 @@ from tests.envs.test_real_flow import TINY
 from tests.objectives.transitions import NUM_ACTIONS, NUM_INPUTS, make_transitions
 from tests.training.conftest import assert_equal_weights
 
-pytestmark = [
-    pytest.mark.gpu,
-    pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA"),
-]
+pytestmark = pytest.mark.gpu
 
 
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), DRQN()], ids=["sac", "drqn"])

@@ -47,9 +47,7 @@ def test_normalisation_scales_all_but_constant_features() -> None:
 
 
 @pytest.mark.parametrize(("num_samples", "intervals"), [(1, 1), (16, 1), (17, 2)])
-def test_saved_classifier_keeps_predictions_and_description(
-    num_samples: int, intervals: int, tmp_path: Path
-) -> None:
+def test_saved_classifier_is_the_same(num_samples: int, intervals: int, tmp_path: Path) -> None:
     classifier = make(num_samples=num_samples, features=["p", "u"])
     classifier.set_normalisation(noise(8, num_samples))
     classifier.save(tmp_path / "classifier.pt")

@@ -93,9 +93,7 @@ def unroll(loss: RecurrentDQNLoss, row: TensorDict, num: int, *, is_target: bool
 
 @pytest.mark.parametrize("hidden", [(8, WIDTH), (WIDTH,)])
 @pytest.mark.parametrize("is_double", [False, True])
-def test_recurrent_loss_equals_stepwise_definition(
-    is_double: bool, hidden: tuple[int, ...]
-) -> None:
+def test_recurrent_loss_equals_its_definition(is_double: bool, hidden: tuple[int, ...]) -> None:
     draw, batch, errors = torch.Generator().manual_seed(0), stretches(), []
     network = make_recurrent_value_actor(**SIZES, hidden=hidden, generator=draw)
     loss = prepare(RecurrentDQNLoss(network, sequence_length=LENGTH, is_double=is_double))

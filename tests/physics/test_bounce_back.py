@@ -166,9 +166,7 @@ def carry(
         (Free(), 0.0, 1e-4),
     ],
 )
-def test_a_body_carried_by_a_uniform_stream_leaves_it_unchanged(
-    motion: Motion, drho: float, tolerance: float
-) -> None:
+def test_body_in_a_uniform_stream_leaves_it(motion: Motion, drho: float, tolerance: float) -> None:
     """While its skin passes nodes: links, uncovered nodes and forces are Galilean invariant.
 
     The torque is but to the error of a sum over lattice lines, which turns a free body a little.

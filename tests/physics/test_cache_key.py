@@ -24,9 +24,7 @@ def double(x):
         ("\n\n\ndef", "\ndef", False),
     ],
 )
-def test_code_counts_and_words_about_it_do_not(
-    old: str, new: str, counts: bool, tmp_path: Path
-) -> None:
+def test_code_counts_but_not_comments(old: str, new: str, counts: bool, tmp_path: Path) -> None:
     file, other = tmp_path / "a.py", tmp_path / "b.py"
     file.write_text(CODE)
     other.write_text(CODE.replace(old, new))

@@ -112,9 +112,7 @@ def test_no_torque_does_work_on_a_free_fish(density_ratio: float, skin: Skin, sh
 
 @pytest.mark.parametrize("size", [8, 16])
 @pytest.mark.parametrize(("skin", "lightest"), [(ImmersedBoundary(), 0.0), (BounceBack(), 0.01)])
-def test_the_lightest_disc_rises_as_its_added_mass_says(
-    skin: Skin, lightest: float, size: int
-) -> None:
+def test_lightest_disc_rises_by_its_added_mass(skin: Skin, lightest: float, size: int) -> None:
     """At first like mass and added mass of potential flow, one of water; its boundary layer brakes.
 
     Sound crosses the disc in some 30 steps at most.

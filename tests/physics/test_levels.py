@@ -144,9 +144,7 @@ def make_fields(kind: str, num_nodes: int) -> tuple[Tensor, Tensor, Tensor]:
         ("Taylor-Green", 125.0, True, False, 3.0),
     ],
 )
-def test_flow_crosses_a_patch_or_two_with_about_the_error_of_the_coarse_grid(
-    kind, reynolds, walks, touches, factor
-):
+def test_patches_add_little_to_the_error_of_the_coarse_grid(kind, reynolds, walks, touches, factor):
     """Two that touch lie above each other, with their common side in the middle of the vortex."""
     num, side = 48, 24
     refined = make_box(num, 3.0 * SPEED * num / reynolds + 0.5, side)

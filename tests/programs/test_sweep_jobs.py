@@ -98,9 +98,7 @@ def test_command_line_overrides_sweep_of_experiment(tmp_path: Path) -> None:
         (["gamma=0.9,2", "seed=0,1"], "gamma = 2"),
     ],
 )
-def test_invalid_job_ends_sweep_before_it_begins(
-    tmp_path: Path, arguments: list[str], said: str
-) -> None:
+def test_invalid_job_is_refused_first(tmp_path: Path, arguments: list[str], said: str) -> None:
     with pytest.raises(SystemExit, match=said):
         train.main(["--multirun", f"folder={tmp_path}", *arguments])
     assert not list(tmp_path.iterdir())
@@ -166,9 +164,7 @@ def test_logging_and_baselines_do_not_split_groups(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_killed_job_leaves_others_and_is_continued(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_killed_job_alone_is_continued(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     loggers = f"logger._target_={HERE}.Killed,{HERE}.Gliding"
     command = [*SETTINGS, f"folder={tmp_path}", loggers]
     assert run_sweep(*command) == 1
@@ -229,9 +225,7 @@ def is_over(pid: int) -> bool:
     return not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
 
 
-def test_job_of_killed_sweep_ends_with_its_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_job_of_killed_sweep_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a process of its own, as joblib's, which does not end with the sweep."""
     (job,) = plan_jobs([f"folder={tmp_path}"])
     files = [tmp_path / name for name in ("pid_of_job", "pid_of_run")]
@@ -256,9 +250,7 @@ def test_job_of_killed_sweep_ends_with_its_run(
 
 
 @pytest.mark.sweep
-def test_failed_setup_is_reported_by_submitit(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_submitit_reports_failed_setup(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     write_yaml(tmp_path / "elsewhere.yaml", {})  # other files are ignored
     launcher = ("hydra/launcher=submitit_local", "hydra.launcher.timeout_min=10")
     command = [f"folder={tmp_path}", "preset=gait_small", "recognition.path=none.pt", "seed=1"]
@@ -271,9 +263,7 @@ def test_failed_setup_is_reported_by_submitit(
     assert "Traceback" not in said.err
 
 
-def test_sweeps_of_the_same_second_have_folders_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sweeps_have_folders_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(jobs.time, "strftime", lambda _: "now")
     monkeypatch.setattr(jobs, "run_hydra", lambda *_: None)

@@ -81,9 +81,7 @@ def prepare(name: str, run: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", PAIRS)
-def test_two_at_once_keep_their_results_or_one_is_refused(
-    name: str, stage: Stage, run: Path
-) -> None:
+def test_two_at_once_keep_their_results_or_are_refused(name: str, stage: Stage, run: Path) -> None:
     touch = random.Random(name).randint(FIRST, max(FIRST, PAIRS[name].touches // 2))
     check(stage, PAIRS[name], prepare(name, run), phase=touch)
 
@@ -108,9 +106,7 @@ PLACES = [
 
 
 @pytest.mark.parametrize(("name", "place"), PLACES)
-def test_place_that_cannot_be_written_is_named_before_any_work(
-    name: str, place: str, stage: Stage, run: Path
-) -> None:
+def test_unwritable_place_is_named_at_once(name: str, place: str, stage: Stage, run: Path) -> None:
     """A file stands where its folder would be."""
     pair, folder, file = (PAIRS | OTHERS)[name], prepare(name, run), run / "file"
     file.touch()

@@ -74,9 +74,7 @@ def store(folder: Path, mark: Path, kind: str) -> Path:
 
 
 @pytest.mark.parametrize(("name", "kind"), CASES)
-def test_programs_refuse_modules_a_run_names(
-    tmp_path: Path, mark: Path, name: str, kind: str
-) -> None:
+def test_program_refuses_modules_of_a_run(tmp_path: Path, mark: Path, name: str, kind: str) -> None:
     main, arguments = PROGRAMS[name]
     run = store(tmp_path, mark, kind)
     with pytest.raises(SystemExit, match=r"_target_: \S+: (must be a|module 'planted')"):
@@ -100,9 +98,7 @@ def test_settings_of_a_stored_run_are_not_resolved(tmp_path: Path, mark: Path) -
     assert TRAINING.read([f"resume={run}"]).preset == "${oc.env:HOME}"
 
 
-def test_child_imports_nothing_from_working_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_child_ignores_its_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "json.py").write_text("raise SystemExit('planted')")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [path for path in sys.path if path])

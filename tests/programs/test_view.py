@@ -94,9 +94,7 @@ def test_live_view_stays_until_interrupt(
     assert ".rrd" not in capsys.readouterr().out  # the file goes with the program
 
 
-def test_recording_stays_if_the_viewer_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recording_stays_if_viewer_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES", "__EGL_VENDOR_LIBRARY_FILENAMES"):
         monkeypatch.setenv(name, "nowhere")

@@ -90,9 +90,7 @@ def try_to_make(kind: type[Settings], **values: Any) -> Settings | FieldErrors:
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_odd_value_is_kept_or_refused_in_one_line(
-    kind: type[Settings], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_odd_value_kept_or_refused(kind: type[Settings], monkeypatch: pytest.MonkeyPatch) -> None:
     values = make_values(kind)
     monkeypatch.setattr(kind, "__post_init__", lambda _: None)
     for name, hint, _, _ in list_fields(kind):

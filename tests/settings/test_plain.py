@@ -168,19 +168,6 @@ def test_files_name_only_classes_of_expected_type(target: Any, tmp_path: Path) -
     assert not ran.exists()
 
 
-def test_user_named_module_is_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "swims_off.py").write_text(
-        f"from {__name__} import Task\nclass Drift(Task):\n    more_bl: float = 1.0\n"
-    )
-    monkeypatch.syspath_prepend(str(tmp_path))
-    node = {"task": {"_target_": "swims_off.Drift", "more_bl": 2}}
-    with pytest.raises(ValueError, match=r"give modules=\[swims_off\]"):
-        build(Training, node)
-    assert "swims_off" not in sys.modules
-    assert build(Training, node, modules=["swims_off"]).task.more_bl == 2  # type: ignore[attr-defined]
-    monkeypatch.delitem(sys.modules, "swims_off")
-
-
 def test_class_of_running_script_has_importable_name(tmp_path: Path) -> None:
     script = tmp_path / "own.py"
     script.write_text(

@@ -31,9 +31,7 @@ ALGORITHMS = [DiscreteSAC(), SAC(), DQN(), DRQN(), PPO(rollout_length=8)]
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda a: type(a).__name__)
-def test_policy_is_the_mean_of_those_after_each_gradient_step(
-    toy: Toy, algorithm: Algorithm
-) -> None:
+def test_policy_is_the_mean_over_gradient_steps(toy: Toy, algorithm: Algorithm) -> None:
     learner = toy.collect(algorithm, actor_average=10_000)
     seen: list[dict[str, torch.Tensor]] = []
     for _ in range(6):  # some are traced

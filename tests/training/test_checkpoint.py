@@ -114,9 +114,7 @@ def test_checkpoint_cannot_run_code(tmp_path: Path) -> None:
     assert not (tmp_path / "ran").exists()
 
 
-def test_run_ended_in_its_first_checkpoint_starts_over(
-    toy: Toy, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_run_without_whole_checkpoint_restarts(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
     def end(file: Path) -> str:
         raise KeyboardInterrupt
 

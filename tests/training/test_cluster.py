@@ -20,9 +20,7 @@ from tests.envs.conftest import SMALL, move_kinematically
 from tests.training.conftest import QUICK, Toy, make_toy_plan, read_rows
 
 
-def test_invalid_numbers_of_collectors_are_refused(
-    toy: Toy, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_invalid_number_of_collectors_is_refused(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fishrl.training.opening.find_spec", lambda name: None)
     for wrong, said in (
         ({"ray_collectors": 3}, "flows.num_envs = 8: must be a multiple of"),
@@ -110,9 +108,7 @@ def make_gliding_env(**arguments: Any) -> Any:
 
 @pytest.mark.cluster
 @pytest.mark.usefixtures("cluster")
-def test_collectors_use_newest_weights_and_count_frames(
-    toy: Toy, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_collectors_have_new_weights_and_frames(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of two fish each: trajectories are distinct, and epsilon decays by flows, not by fish."""
     few = {"ray_collectors": 2, "flows": Flows(num_envs=4, compile=False), "warmup_frames": 4}
     plan = make_toy_plan(toy.folder, algorithm=DQN(epsilon_end=0.0, epsilon_frames=16), **few)

@@ -18,9 +18,7 @@ SEEING = {"critic_observes": ("heading",)}
 
 @pytest.mark.parametrize("reads_stack", [True, False])
 @pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda a: type(a).__name__)
-def test_values_depend_on_what_critics_see_and_actions_do_not(
-    toy: Toy, algorithm: Algorithm, reads_stack: bool
-) -> None:
+def test_values_alone_depend_on_critics(toy: Toy, algorithm: Algorithm, reads_stack: bool) -> None:
     learner = toy.collect(algorithm, task=SEEING | {"critic_reads_stack": reads_stack})
     batch = learner.buffer[:]
     assert batch["critic_stack"].shape == batch["next", "critic_stack"].shape == (64, 4)

@@ -52,9 +52,7 @@ def test_resumed_log_drops_rows_after_the_checkpoint(tmp_path: Path) -> None:
     assert [tuple(row.values()) for row in rows] == [("8", "1.0"), ("16", "1.0"), ("24", "2.0")]
 
 
-def test_wandb_writes_offline_beside_the_csv(
-    toy: Toy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_wandb_writes_offline(toy: Toy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WANDB_SILENT", "true")
     before = dict(os.environ)
     complete(toy.begin(name="run", total_frames=80, logger=WandbLogger(is_offline=True)))
@@ -71,9 +69,7 @@ def test_wandb_writes_offline_beside_the_csv(
     assert os.environ.get("WANDB_MODE") == before.get("WANDB_MODE")
 
 
-def test_resumed_run_keeps_wandb_id_of_agent(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_resumed_run_keeps_its_wandb_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WANDB_SILENT", "true")
     with monkeypatch.context() as agent:
         agent.setenv("WANDB_SWEEP_ID", "sweepid")
@@ -85,9 +81,7 @@ def test_resumed_run_keeps_wandb_id_of_agent(
     assert {path.name for path in recorded} == {"run-agentsid.wandb"}
 
 
-def test_wandb_respects_mode_and_reports_missing_key(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_wandb_has_its_mode_and_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WANDB_SILENT", "true")
     for name, value in (("HOME", str(tmp_path)), ("NETRC", str(tmp_path / "none"))):
         monkeypatch.setenv(name, value)  # without the user's key

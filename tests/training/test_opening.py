@@ -25,9 +25,7 @@ def test_baseline_with_wakes_is_checked_without_developing_them(tmp_path: Path) 
     assert not list(tmp_path.iterdir())
 
 
-def test_wrong_observation_size_is_reported_before_the_compile(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_wrong_observation_size_is_told_before_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
     class Wrong(Predation):
         n_obs: ClassVar[int] = 5
 
@@ -44,9 +42,7 @@ def test_wrong_observation_size_is_reported_before_the_compile(
         ({"buffer_size": 10**12}, "buffer .* GB: more than the .* GB of cpu"),
     ],
 )
-def test_run_with_invalid_settings_leaves_no_folder(
-    toy: Toy, wrong: dict[str, Any], message: str
-) -> None:
+def test_invalid_settings_leave_no_folder(toy: Toy, wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         toy.begin(**wrong)
     assert not list(toy.folder.iterdir())

@@ -59,8 +59,6 @@ def test_evaluate_takes_baseline_names_and_policies() -> None:
         (ToyPredation(is_continuous=True), "is_continuous = False, the current one is True"),
     ],
 )
-def test_policy_trained_for_another_task_is_refused(
-    whole: Training, task: ToyPredation, said: str
-) -> None:
+def test_policy_of_another_task_is_refused(whole: Training, task: ToyPredation, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         load_policy(whole.folder.path, task=task)

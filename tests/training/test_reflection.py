@@ -64,8 +64,6 @@ def test_mirror_that_is_no_reflection_is_refused() -> None:
 
 
 @pytest.mark.parametrize("algorithm", [PPO(rollout_length=8), DRQN()], ids=["ppo", "drqn"])
-def test_algorithm_whose_data_have_no_mirror_image_is_refused(
-    toy: Toy, algorithm: Algorithm
-) -> None:
+def test_rollouts_and_sequences_cannot_be_reflected(toy: Toy, algorithm: Algorithm) -> None:
     with pytest.raises(ValueError, match="reflect=false"):
         toy.begin(algorithm=algorithm, reflect=True)

@@ -105,9 +105,7 @@ class Counts(Callback):
 @pytest.mark.parametrize(
     ("step", "frames"), [(7, 56), (23, 184), (3, 120)], ids=["warm-up", "learning", "evaluating"]
 )
-def test_run_resumed_after_a_signal_equals_an_uninterrupted_run(
-    toy: Toy, whole: Training, step: int, frames: int
-) -> None:
+def test_resumes_exactly_after_a_signal(toy: Toy, whole: Training, step: int, frames: int) -> None:
     is_late = step == 3  # of the evaluation at frame 120
     part = toy.begin(name="part", **QUICK)
     run_and_stop(part, ToyFishEnv, step=step, evaluating=is_late)
@@ -135,9 +133,7 @@ ALGORITHMS: list[tuple[Algorithm, float]] = [
 @pytest.mark.parametrize(
     ("algorithm", "num_updates"), ALGORITHMS, ids=lambda a: getattr(a, "label", "")
 )
-def test_every_algorithm_resumes_exactly(
-    toy: Toy, algorithm: Algorithm, num_updates: float
-) -> None:
+def test_algorithms_resume_exactly(toy: Toy, algorithm: Algorithm, num_updates: float) -> None:
     legal = {"is_continuous": True} if isinstance(algorithm, SAC) else {"banned_action": 1}
     can_more = isinstance(algorithm, DiscreteSAC)
     settings: dict[str, Any] = {
@@ -245,9 +241,7 @@ def test_run_without_its_checkpoint_is_not_resumed(toy: Toy) -> None:
         toy.reopen("run")
 
 
-def test_damaged_checkpoint_is_noticed_before_anything_compiles(
-    toy: Toy, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_damaged_checkpoint_is_noticed_first(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
     toy.begin(name="run", total_frames=16, **QUICK).run()
     (toy.folder / "run" / "summary.json").unlink()
     monkeypatch.setattr(Training, "_set_up", lambda _: pytest.fail("set up"))

@@ -27,9 +27,7 @@ def learn(toy: Toy, algorithm: Algorithm, **settings: object) -> Learner:
 
 @pytest.mark.parametrize("hidden", [(16,), (16, 16)], ids=["one layer", "two layers"])
 @pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda a: type(a).__name__)
-def test_saved_policy_equals_the_one_that_learns(
-    toy: Toy, algorithm: Algorithm, hidden: tuple[int, ...]
-) -> None:
+def test_saved_equals_learner(toy: Toy, algorithm: Algorithm, hidden: tuple[int, ...]) -> None:
     learner, answers = learn(toy, algorithm, hidden=hidden), []
     states = next(iter(toy.trainings[0].collector)).reshape(-1)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):

@@ -35,9 +35,7 @@ def test_tensorboard_reads_every_step_once_also_after_a_resume(tmp_path: Path) -
     assert write(tmp_path, (10, 2.0, 0.0)) == [(10, 2.0)]  # begun again
 
 
-def test_run_with_event_files_is_read_without_the_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_run_is_read_without_tensorboard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     logger = build(CsvLogger, describe(TensorboardLogger()))
     with pytest.raises(ImportError, match="logger=tensorboard needs packages: pip install"):

@@ -97,7 +97,7 @@ def plain() -> dict[Any, list[dict[Any, torch.Tensor]]]:
 
 @pytest.mark.parametrize("run", [step_env, step_solver])
 @pytest.mark.parametrize("name", STATES)
-def test_global_torch_state_changes_no_flow(
+def test_torch_state_changes_no_flow(
     name: str, run: Any, plain: dict[Any, list[dict[Any, torch.Tensor]]]
 ) -> None:
     draw = random.Random(f"{name} {run.__name__}")

@@ -140,9 +140,7 @@ def test_resting_rows_and_restarts_leave_no_frames(shown: Shown) -> None:
     assert times == sorted(times)
 
 
-def test_live_view_keeps_to_its_share_of_wall_time(
-    shown: Shown, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_live_view_keeps_its_share_of_time(shown: Shown, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
     monkeypatch.setattr("fishrl.programs.live.time.monotonic", lambda: clock[0])
     shown.live.on_close()

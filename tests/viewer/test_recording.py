@@ -136,7 +136,6 @@ def test_episodes_are_recorded_from_start_to_capture(num_envs: int) -> None:
 
 
 @pytest.mark.gpu
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA")
 def test_gpu_flows_are_recorded_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(TASK, "time_limit", 1)
     _, recordings, _ = record(2, device="cuda")

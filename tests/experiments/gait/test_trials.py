@@ -64,9 +64,7 @@ def test_trials_have_steady_streams_and_fixed_duration() -> None:
         assert 100.0 <= tried.time_limit * tried.interval_T < 100.0 + dt + 0.01
 
 
-def test_history_is_recorded_again_only_if_inputs_change(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_history_follows_its_inputs_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trial = make_trial("bang_bang", make_task(), periods=BRIEF)
     first = trials.concatenate(run_trial(trial, episodes=1, folder=tmp_path, flows=FLOWS))
     recorded = []

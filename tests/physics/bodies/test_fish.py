@@ -130,9 +130,7 @@ def assert_midline_keeps_length_area_and_centre(
 
 @pytest.mark.parametrize("is_midline", [False, True])
 @pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
-def test_deformations_keep_area_and_centre_without_angular_momentum(
-    gait: Gait, is_midline: bool
-) -> None:
+def test_deformation_keeps_area_centre_and_angular_momentum(gait: Gait, is_midline: bool) -> None:
     fish = FIT(Fish(body_length=100, gait=gait, keeps_length=is_midline))
     for phase in (0.2, 1.7, 4.0):
         body = make_fish_body(beats=1e3, phase=phase)

@@ -95,9 +95,7 @@ def test_the_eel_has_the_thickness_of_its_source() -> None:
         (Oscillating(pitch=0.4, pivot=5.0), 0.3),
     ],
 )
-def test_oscillating_body_follows_its_sines_about_its_pivot(
-    motion: Oscillating, start: float
-) -> None:
+def test_oscillating_body_follows_sines_about_its_pivot(motion: Oscillating, start: float) -> None:
     """From the origin, after 17 of 50 steps."""
     body = place_body(0.0, 0.0, start, 1 / 50)
     for _ in range(17):

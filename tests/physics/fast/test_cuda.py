@@ -29,7 +29,6 @@ pytestmark = [
     pytest.mark.gpu,
     pytest.mark.compile,
     pytest.mark.xdist_group("cuda"),  # they share what they compile
-    pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA"),
     pytest.mark.skipif(find_spec("triton") is None, reason="needs the extra triton"),
 ]
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))

@@ -70,9 +70,7 @@ def square(x: torch.Tensor) -> tuple[torch.Tensor]:
 
 
 @pytest.mark.compile
-def test_compiled_code_is_stored_by_vector_width_and_threads(
-    cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_code_is_stored_by_width_and_threads(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     traced, x = list[torch.Tensor](), 2 * torch.eye(3)[None]
 
     def trace(x: torch.Tensor) -> tuple[torch.Tensor]:
@@ -90,9 +88,7 @@ def test_compiled_code_is_stored_by_vector_width_and_threads(
 
 
 @pytest.mark.compile
-def test_inductors_switches_do_not_change_results(
-    cache: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_inductor_switches_change_no_result(cache: Path, caplog: pytest.LogCaptureFixture) -> None:
     x = 2 * torch.eye(3)[None]
     networks = ("freezing", "max_autotune", "max_autotune_gemm")
     switches = {name: inductor_config.patch({name: True}) for name in networks}
@@ -172,9 +168,7 @@ def test_processes_share_code_and_remake_what_a_killed_compiler_left(
     assert caplog.text.count("is damaged") == 2
 
 
-def test_key_of_a_machine_has_its_instructions_and_compiler(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_key_has_instructions_and_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     gcc, compiler, keys = shutil.which("g++"), tmp_path / "g++", []
     monkeypatch.setenv("CXX", str(compiler))
     for flags in ("", "-march=bonnell", "-D__VERSION__='13'", ""):
@@ -190,9 +184,7 @@ def find_problem() -> str | None:
     return inductor_module.find_compiler_problem.__wrapped__("cpu")
 
 
-def test_compiler_is_the_one_named_or_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_compiler_is_named_or_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "clang++").symlink_to(shutil.which("g++") or "")
     monkeypatch.setenv("PATH", str(tmp_path))
     assert find_problem() is None
@@ -202,7 +194,7 @@ def test_compiler_is_the_one_named_or_found(
 
 
 @pytest.mark.parametrize("character", " \t\r\n\"'\\")
-def test_paths_that_no_command_can_hold_are_refused(
+def test_unquotable_paths_are_refused(
     character: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = f"{tmp_path}/a{character}b"
@@ -284,9 +276,7 @@ class Magnetic(NoSlip):
 """
 
 
-def test_own_class_is_known_by_its_settings_and_sources(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_own_class_is_known_by_its_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of its module, and of those that it imports; none without a file."""
     monkeypatch.syspath_prepend(str(tmp_path))
     keys, first = [], (1, "", 1.0)

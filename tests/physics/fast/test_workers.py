@@ -112,9 +112,7 @@ def test_flows_are_checked_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> Non
         torch.set_num_threads(before)
 
 
-def test_workers_share_the_flows_that_advance_and_equal_local_ones_until_closed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_workers_share_flows_and_equal_local_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     body = DCylinder(diameter=8, motion=Oscillating(sway=(1.0, 0.5)))
     flows: Any = {"config": replace(CONFIG, width=48, height=40, bodies=(body,)), "num_envs": 6}
     here, there = (
@@ -145,9 +143,7 @@ def test_workers_share_the_flows_that_advance_and_equal_local_ones_until_closed(
 
 
 @pytest.mark.compile
-def test_single_flow_starts_processes_only_to_compile(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_single_flow_has_helper_to_compile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
     started: list[str] = []
     start_child = workers_module.start_child
@@ -180,9 +176,7 @@ def test_single_flow_starts_processes_only_to_compile(
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
-def test_interrupted_while_it_waits_a_solver_starts_others_and_one_killed_ends_all(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_solver_survives_an_interrupt_and_no_killed_worker(monkeypatch: pytest.MonkeyPatch) -> None:
     solver = make_solver(2)
     with monkeypatch.context() as patch:
         patch.setattr(workers_module.Workers, "wait", lambda _: signal.raise_signal(signal.SIGINT))
@@ -196,9 +190,7 @@ def test_interrupted_while_it_waits_a_solver_starts_others_and_one_killed_ends_a
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
-def test_an_interrupt_leaves_no_worker_with_an_answer_that_nobody_has_read(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_interrupt_leaves_no_worker_with_an_unread_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     solver = make_solver(1)
     solver.advance_(2)
     interrupt = lambda: signal.raise_signal(signal.SIGINT)  # noqa: E731
@@ -234,9 +226,7 @@ def test_a_compiler_that_fails_is_an_error_with_its_message(
 @pytest.mark.parametrize(
     ("phase", "number"), [("begun", signal.SIGTERM), ("ready", signal.SIGKILL)]
 )
-def test_nothing_is_left_of_a_program_that_is_killed(
-    tmp_path: Path, phase: str, number: int
-) -> None:
+def test_killed_program_leaves_no_process(tmp_path: Path, phase: str, number: int) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", PROGRAM],
         env={**os.environ, "LEFT_BY": str(tmp_path)},
@@ -290,9 +280,7 @@ def test_a_forked_process_keeps_no_worker_alive_and_ends_none(tmp_path: Path) ->
     os.kill(left.pop(), signal.SIGKILL)
 
 
-def test_workers_import_classes_of_modules_next_to_script_and_none_of_the_script(
-    tmp_path: Path,
-) -> None:
+def test_workers_import_modules_next_to_the_script_alone(tmp_path: Path) -> None:
     (tmp_path / "own_motion.py").write_text(OWN_CLASS)
     script = tmp_path / "script.py"
     script.write_text(

@@ -81,9 +81,7 @@ def test_run_pictures_are_written(tmp_path: Path) -> None:
         assert 9 < picture.n_frames <= 9 + 15  # and its end is held
 
 
-def test_trajectories_show_obstacles_and_endings(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_paths_show_obstacles_and_endings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     figures, save = list[Figure](), Figure.savefig
 
     def note(figure: Figure, path: Path, **options: Any) -> None:
@@ -146,9 +144,7 @@ def test_flow_axes_are_in_body_lengths() -> None:
 
 
 @pytest.mark.parametrize("name", ["discrete_sac", "dqn", "drqn", "sac", "ppo"])
-def test_losses_and_entropy_are_drawn(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_losses_are_drawn(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[str] = []
 
     def note(path: Path, curves: dict[str, list[Curve]], **_: object) -> bool:

@@ -51,9 +51,7 @@ def test_changing_stream_labels_each_decision(tmp_path: Path) -> None:
     assert flow[1].tolist() == [1, 1, 1, 0]
 
 
-def test_actions_hold_stations_or_are_random(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_actions_hold_place_or_are_random(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def collect_share(share: float) -> TensorDict:
         monkeypatch.setattr(collection_module, "RANDOM_SHARE", share)
         few = {"flows": Flows(num_envs=4, compile=False), "max_decisions": 3, "num_samples": 1}
