@@ -233,7 +233,7 @@ RUNS: list[tuple[Any, ...]] = [
     (lambda file: check_folder(file), ".", "x"),
     (claim_in, "taken", "free"),
     (hold, "x", "y"),
-    (lambda size: begin(hidden=(size, size)).close(), 10**6, 8),
+    (lambda size: begin(buffer_size=size).close(), 10**12, 1000),
     (lambda widths: make_mlp((4, widths)), 0, 8),
     (untrained, "features", (), ("u_x",)),
     (untrained, "num_samples", 0, 1),
