@@ -196,24 +196,27 @@ OFFLINE = {
     "total_frames": 1600,
     "flows": Flows(num_envs=16),
     "eval_frames": 400,
-    "warmup_frames": 320,
+    "warmup_frames": 640,
+    "batch_size": 256,
 }
-OFFLINE |= {"updates_per_frame": 1.0, "tau": 0.03, "buffer_size": 2000}
+#: Seeds 0 to 6 of discrete SAC give 24, 31, 28, 30, 28, 32 and 30 captures of 32. With gamma 0.99,
+#: ``alpha_init=1.0``, batches of 64 and half the warm-up, seeds 1 to 6 give 13 to 32.
+OFFLINE |= {"updates_per_frame": 1.0, "tau": 0.03, "gamma": 0.9, "buffer_size": 2000}
 
 
 @pytest.mark.learning
 @pytest.mark.parametrize(
-    ("algorithm", "is_continuous", "settings"),
+    ("algorithm", "is_continuous", "settings", "least"),
     [
-        (DiscreteSAC(target_entropy_weight=0.3), False, OFFLINE),
-        pytest.param(SAC(alpha_init=0.2), True, OFFLINE, marks=pytest.mark.slow),
-        pytest.param(PPO(rollout_length=16), False, ONLINE, marks=pytest.mark.slow),
-        (PPO(rollout_length=16), True, ONLINE),
+        (DiscreteSAC(alpha_init=0.2, target_entropy_weight=0.3), False, OFFLINE, 0.6),
+        pytest.param(SAC(alpha_init=0.2), True, OFFLINE, 0.6, marks=pytest.mark.slow),
+        pytest.param(PPO(rollout_length=16), False, ONLINE, 0.75, marks=pytest.mark.slow),
+        (PPO(rollout_length=16), True, ONLINE, 0.75),
     ],
     ids=["discrete sac", "sac", "ppo of discrete actions", "ppo"],
 )
 def test_fish_learns_to_catch_still_food(
-    toy: Toy, algorithm: Algorithm, is_continuous: bool, settings: dict[str, Any]
+    toy: Toy, algorithm: Algorithm, is_continuous: bool, settings: dict[str, Any], least: float
 ) -> None:
     summary = toy.begin(
         task={"food_speed_bl": 0.0, "is_continuous": is_continuous},
@@ -225,8 +228,8 @@ def test_fish_learns_to_catch_still_food(
         baselines=("random",),
         **settings,
     ).run()
-    # These seeds gave 29, 29, 32 and 32 captures of 32, and random actions 6, 5, 9 and 3.
-    assert summary["success_rate"] >= 0.75
+    # Random actions captured 6, 5, 9 and 3 of 32, PPO 32.
+    assert summary["success_rate"] >= least
     assert summary["random_success_rate"] <= 0.4
 
 
