@@ -30,7 +30,8 @@ def make_mlp(
         raise ValueError(f"layer widths = {list(widths)}: must be at least 1")
     layers: list[nn.Module] = []
     for fan_in, fan_out in itertools.pairwise(widths):
-        linear = nn.Linear(fan_in, fan_out)
+        with torch.random.fork_rng(devices=[], enabled=generator is not None):
+            linear = nn.Linear(fan_in, fan_out)
         bound = 1.0 / math.sqrt(fan_in)
         nn.init.uniform_(linear.weight, -bound, bound, generator=generator)
         nn.init.uniform_(linear.bias, -bound, bound, generator=generator)

@@ -65,12 +65,13 @@ def make_recurrent_value_actor(
                 nn.Sequential(encoder, nn.ReLU()), in_keys=["observation"], out_keys=["seen"]
             )
         )
-    memory = LSTMModule(
-        input_size=before[-1] if before else num_inputs,
-        hidden_size=size,
-        in_keys=["seen" if before else "observation", *MEMORY],
-        out_keys=["remembered", *(("next", key) for key in MEMORY)],
-    )
+    with torch.random.fork_rng(devices=[], enabled=generator is not None):
+        memory = LSTMModule(
+            input_size=before[-1] if before else num_inputs,
+            hidden_size=size,
+            in_keys=["seen" if before else "observation", *MEMORY],
+            out_keys=["remembered", *(("next", key) for key in MEMORY)],
+        )
     with torch.no_grad():
         for weight in memory.parameters():  # the distribution of nn.LSTM
             weight.uniform_(-1.0 / math.sqrt(size), 1.0 / math.sqrt(size), generator=generator)

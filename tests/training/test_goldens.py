@@ -1,5 +1,11 @@
-"""The same seed gives the same learning curve as the version that wrote ``tests/goldens``."""
+"""The same seed gives the same learning curve as the version that wrote ``tests/goldens``.
 
+After a change that moves the curves on purpose, write them anew by
+``REMAKE_GOLDENS=1 python -m pytest tests/training/test_goldens.py``.
+"""
+
+import csv
+import os
 from pathlib import Path
 
 import pytest
@@ -27,11 +33,20 @@ def read(folder: Path, name: str = "metrics.csv") -> list[dict[str, float]]:
     return [{k: float(v or "nan") for k, v in row.items()} for row in read_rows(folder, name)]
 
 
+def write(path: Path, rows: list[dict[str, str]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, rows[0].keys(), lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+
+
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_seed_reproduces_the_golden_learning_curve(name: str, toy: Toy) -> None:
     algorithm = ALGORITHMS[name]
     task = {"is_continuous": not algorithm.takes_discrete}
     toy.begin(algorithm=algorithm, task=task, name=name, baselines=(), final_episodes=1).run()
+    if "REMAKE_GOLDENS" in os.environ:
+        write(GOLDENS / f"toy_{name}.csv", read_rows(toy.folder / name))
     rows, expected = read(toy.folder / name), read(GOLDENS, f"toy_{name}.csv")
     assert len(rows) == len(expected)
     for row, golden in zip(rows, expected, strict=True):
