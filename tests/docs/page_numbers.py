@@ -20,12 +20,9 @@ C_START, CHANGING, SEVERAL = (
     "tasks/several_fish.md",
 )
 SENSES, GAIT, PREDATION = "tasks/senses.md", "tasks/karman_gait.md", "tasks/predation.md"
-#: Pages that conclude from results.
-PAGES = (
-    *(RESULTS, RESOLUTION, ALGORITHMS, SPEED, README, STREAM, BODY),
-    *(C_START, CHANGING, SEVERAL, SENSES, GAIT, PREDATION),
-    *("tutorials/cylinder.md", "tutorials/lateral_line.md", "theory.md", "benchmark.md"),
-)
+#: All but the list of changes and the verdicts that ``make validate`` writes with their numbers.
+EVERY = (README, *sorted(str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")))
+PAGES = tuple(page for page in EVERY if page not in ("changelog.md", "validation.md"))
 
 Numbers = Sequence[float]
 

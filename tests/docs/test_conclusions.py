@@ -88,6 +88,15 @@ STATED = (
     "couple explicitly",
     "Score on the test",
     "nearly identical, so a random split",
+    "A training saves its complete state",
+    "tasks in which all actions are always legal",
+    "and all are always legal",
+    "and scores what it saves",
+    "how to search for better settings",
+    "start a run with smaller `num_envs`",
+    "it is long enough that neither tail nor stream",
+    "Fish must never overlap",
+    "Unless `save`, `screenshot` or `live` is given",
 )
 #: Conclusions from measurements whose data the repository does not have.
 UNSTORED = (
@@ -96,6 +105,8 @@ UNSTORED = (
     "`learner_device=cpu` is better",
     "behind the leader none does",
     "It keeps its place with noise or delay on its signals",
+    "about 50 times slower",
+    "two at a time take about as long as one after the other",
 )
 
 

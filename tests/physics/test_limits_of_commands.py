@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from inspect import signature
 from itertools import product
 from math import inf, pi
 
@@ -14,15 +15,21 @@ from fishrl.physics import (
     Bending,
     BodyConfig,
     Cylinder,
+    Driven,
     Fish,
+    Fixed,
     FlowConfig,
     FlowState,
     Foil,
+    Free,
     InPlaceSolver,
     Oscillating,
+    Surging,
     Towed,
     simulate,
 )
+from fishrl.physics.bodies import motion
+from fishrl.physics.bodies.motion import Motion
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.flow import make_params, make_rest
 from tests.physics.flows import place_body
@@ -32,18 +39,22 @@ FISH = Fish(body_length=24)
 BENT = Fish(body_length=24, motion=Bending(gain=0.5, response=3.0))
 SLIDING = Fish(body_length=24, keeps_length=True)
 SWAYING = Cylinder(diameter=10, motion=Oscillating(sway=(3.0, 4.0)))
+SURGING = Cylinder(diameter=10, motion=Surging(sway=(0.0, 4.0)))
 PITCHING = Foil(chord=16, motion=Oscillating(pitch=0.5, pivot=8.0))
+LOOSE, HELD = Fish(body_length=24, motion=Free()), Fish(body_length=24, motion=Fixed())
+DRIVEN = Fish(body_length=24, motion=Driven(velocity=(0.0, 0.1)))
+BEAT = 0.3 / (2 * pi * 0.125 * 24)
 #: Largest value of each quantity, for a surface of 0.3 nodes per step: the tail beats at 0.125 L; a
 #: turn is twice as fast as on average, about the middle; the bend begins at response / command.
 LIMITS = {
-    FISH: {"frequency": 0.3 / (2 * pi * 0.125 * 24), "turn": 0.3 * STEPS / 24, "amplitude": 1.0},
-    BENT: {
-        "frequency": 0.3 / (2 * pi * 0.125 * 24),
-        "turn": 0.3 * STEPS / (3.0 * 0.5 * 24),
-        "amplitude": 1.0,
-    },
+    FISH: {"frequency": BEAT, "turn": 0.3 * STEPS / 24, "amplitude": 1.0},
+    BENT: {"frequency": BEAT, "turn": 0.3 * STEPS / (3.0 * 0.5 * 24), "amplitude": 1.0},
+    LOOSE: {"frequency": BEAT, "turn": inf, "amplitude": 1.0},
+    HELD: {"frequency": BEAT, "turn": inf, "amplitude": 1.0},
+    DRIVEN: {"frequency": BEAT * 2 / 3, "turn": inf, "amplitude": 1.0},
     SWAYING: {"frequency": 0.3 / (2 * pi * 5.0), "turn": inf},
-    SLIDING: {"frequency": 0.3 / (2 * pi * 0.125 * 24), "turn": 0.3 * STEPS / 24, "amplitude": 1.0},
+    SURGING: {"frequency": 0.3 / (2 * pi * 4.0), "turn": inf},
+    SLIDING: {"frequency": BEAT, "turn": 0.3 * STEPS / 24, "amplitude": 1.0},
     PITCHING: {"frequency": 0.3 / (2 * pi * 0.5 * 16), "turn": inf},
 }
 
@@ -177,3 +188,14 @@ def test_towed_fish_has_a_bound_of_its_speed() -> None:
     write_state(config, "towed", -0.299)
     with pytest.raises(ValueError, match="allowed is"):
         write_state(config, "towed", -0.301)
+
+
+def test_every_motion_and_every_way_of_commanding_is_tried() -> None:
+    """A new one fails here until it has its limits above."""
+    motions = {k for k in vars(motion).values() if isinstance(k, type) and issubclass(k, Motion)}
+    assert motions - {Motion} == {Towed, *(type(body.motion) for body in LIMITS)}
+    order = {*signature(InPlaceSolver.command_).parameters} - {"self", "num_steps"}
+    assert order == set().union(*LIMITS.values())
+    changing = {name for name in dir(InPlaceSolver) if name[0] != "_" and name[-1] == "_"}
+    of_water = {"join_stream_", "set_stream_speed_", "set_populations_", "reset_"}
+    assert changing - of_water == {"advance_", "command_", "set_body_"}

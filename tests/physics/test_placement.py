@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from fishrl.physics import (
-    BounceBack,
     Boundaries,
     Cylinder,
     Driven,
@@ -23,6 +22,7 @@ from fishrl.physics.bodies.motion import Motion
 from fishrl.physics.cases import PERIODIC
 
 EVERY = torch.tensor([True, True])
+SKINS = [kind() for kind in Skin.__subclasses__()]
 
 
 def make_solver(*bodies: Cylinder | Ellipse | Fish) -> InPlaceSolver:
@@ -94,7 +94,7 @@ def test_several_bodies_need_a_place_before_they_move() -> None:
     other.advance_(2)
 
 
-@pytest.mark.parametrize("skin", [BounceBack(), ImmersedBoundary()])
+@pytest.mark.parametrize("skin", SKINS)
 @pytest.mark.parametrize("edges", [PERIODIC, Boundaries(), Boundaries.make_stream()])
 def test_body_that_crosses_an_edge_is_the_reason_given(
     skin: Skin, edges: Boundaries, caplog: pytest.LogCaptureFixture
@@ -115,7 +115,7 @@ def test_body_that_crosses_an_edge_is_the_reason_given(
 DRIVEN = Cylinder(diameter=8, motion=Driven(velocity=(0.2, 0.0)))
 
 
-@pytest.mark.parametrize("skin", [BounceBack(), ImmersedBoundary()])
+@pytest.mark.parametrize("skin", SKINS)
 @pytest.mark.parametrize("motion", [Fixed(), Free()])
 @pytest.mark.parametrize("num_steps", [20, 120])  # 24 nodes: right through a fixed one
 def test_bodies_that_come_to_overlap_are_named_and_their_flow_is_lost(

@@ -9,8 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from fishrl.programs.export import TABLE
+from fishrl.viewer.fields import WRITERS
 from tests.programs.pairs import FIRST, OTHERS, PAIRS, REMEDIES, TRAINING, Pair, read_trainings
 from tests.programs.stage import Act, Stage
+from tests.smoke.test_programs import list_all_programs
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +97,14 @@ def test_two_at_once_at_any_phase(name: str, draw: int, stage: Stage, run: Path)
     pair, drawn = (PAIRS | OTHERS)[name], random.Random(f"{name} {draw}")
     phase = drawn.randint(FIRST, pair.touches) if draw < 4 else drawn.uniform(0.0, 4.0)
     check(stage, pair, prepare(name, run), phase=phase)
+
+
+def test_every_program_and_format_has_a_pair() -> None:
+    pairs = (PAIRS | OTHERS).values()
+    alone = {"demo", "reproduce"}  # these run the others
+    assert list_all_programs() - alone == {pair.program for pair in pairs}
+    endings = {Path(word).suffix for pair in pairs for word in pair.words if "save=" in word}
+    assert {*WRITERS, TABLE} <= endings
 
 
 #: The settings of all programs that say where they write.

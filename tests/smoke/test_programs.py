@@ -95,15 +95,20 @@ def gait_run(runs: Path) -> Path:
         return _train(runs, "gait_run", *chosen, *task)
 
 
-def test_every_program_has_a_smoke_test() -> None:
+def list_all_programs() -> set[str]:
+    """List the programs of fishrl and of ``experiments``."""
     research = {
         path.stem
         for path in (ROOT / "experiments").glob("*.py")
         if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
     }
+    return {*list_programs(), *research}
+
+
+def test_every_program_has_a_smoke_test() -> None:
     text = Path(__file__).read_text(encoding="utf-8")
     run = set(re.findall(r'_run\(\s*(?:\*\()?"([\w-]+)"', text))
-    missing = {*list_programs(), *research} - {"demo"} - run  # the demo runs view
+    missing = list_all_programs() - {"demo"} - run  # the demo runs view
     assert not missing, f"no smoke test runs {sorted(missing)}"
 
 

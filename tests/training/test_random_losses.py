@@ -26,7 +26,7 @@ logger = logging.getLogger(__name__)
 KILLS = 20
 RUNS = "whole", "run"
 #: What asks the machines for something: weights are put and set, batches fetched, states saved.
-ASKING = ("_send_weights", "_count_exploration", "state_dict", "load_state_dict", "_await_flows")
+ASKING = sorted({*filter(lambda name: name[:2] != "__", vars(ClusterCollector))} - {"shutdown"})
 SETTINGS: dict[str, Any] = {
     "ray_collectors": 2,
     "algorithm": DQN(epsilon_frames=100),

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
+from pkgutil import walk_packages
 from secrets import randbits
 from typing import Any
 
@@ -12,6 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 from tensordict import TensorDictBase
 
+from fishrl import wrappers
 from fishrl.benchmark import list_versions
 from fishrl.envs import Flows, Predation, PredationPair, make_env, make_task, making
 from fishrl.envs.control import Turn
@@ -21,6 +24,7 @@ from fishrl.wrappers.stable_baselines import FlowVecEnv
 from tests.envs.conftest import CONTINUOUS, SMALL
 
 pytestmark = pytest.mark.usefixtures("kinematic")
+PREFIX = "fishrl.wrappers."
 EAGER = Flows(num_envs=1, compile=False)
 SETTINGS = {**SMALL, "time_limit": 3, "flows": Flows(compile=False)}
 
@@ -60,6 +64,19 @@ WRAPPED: list[Callable[[], Any]] = [
     lambda: FlowParallelEnv(make_env(task=PredationPair(**SMALL), flows=EAGER)),
     lambda: make_env(task=Predation(**SMALL), flows=EAGER),
 ]
+
+
+def test_every_wrapper_of_environments_is_among_these() -> None:
+    modules = [import_module(each.name) for each in walk_packages(wrappers.__path__, PREFIX)]
+    kinds = {
+        kind
+        for module in modules
+        for kind in vars(module).values()
+        if isinstance(kind, type) and kind.__module__.startswith(PREFIX) and "reset" in vars(kind)
+    }
+    assert len(kinds) > 3 and kinds <= {
+        type(getattr(make(), "unwrapped", None)) for make in WRAPPED
+    }
 
 
 def read_start(env: Any) -> str:
