@@ -73,7 +73,7 @@ class FlowBatch:
         self._takes, self._ends = (
             [make_restriction(is_whole=is_whole) for _ in sizes] for is_whole in (False, True)
         )
-        self._numbers = range(len(self._root.groups))
+        self._numbers = range(len(self._root.arguments))
         self._transfers: dict[tuple[Part, int], Arguments] = {
             (part, number): part.bind(self._find_memory(grid, number))
             for parts in (self._fills, self._takes, self._ends)
@@ -163,7 +163,7 @@ class FlowBatch:
     def compile_check(self) -> None:
         """Compile the checks alone, for a process that reads flows which others advance."""
         for grid in self.grids:
-            grid.check.compile(grid.groups[0].arguments[grid.check][0])
+            grid.check.compile(grid.arguments[0][grid.check][0])
         self._forget_checks()
 
     def _forget_checks(self) -> None:

@@ -20,7 +20,7 @@ from fishrl.physics.fast.body_parts import make_skin_parts
 from fishrl.physics.fast.flow_memory import FlowData, GroupMemory, carve_memory
 from fishrl.physics.fast.fluid_parts import make_check, make_collision, make_crossing, make_edges
 from fishrl.physics.fast.layout import InPlaceLayout
-from fishrl.physics.fast.part import Bound, FlowGroup, Part, Repeater
+from fishrl.physics.fast.part import Bound, Part, Repeater
 from fishrl.physics.flow import FlowConfig, make_params
 from fishrl.physics.levels.grids import Level
 
@@ -41,7 +41,8 @@ class Grid:
         flow: everything except the populations, changed in place.
         origin: ``[B, 2]`` int64, of its first node in its parent; the root's is 0.
         last: ``[2]`` float64, (x, y) of the last node in its own nodes.
-        groups: by their number in the batch.
+        arguments: of each group, those of each part before even and odd steps.
+        nodes: the nine incoming populations ``[groups, flows, Y, X]`` before an even step.
         parts: those of a step, in the order in which they run.
         locate: finds bodies that stay still, or sharp skins, once before many steps.
         check: finds out which flows are within the method.
@@ -76,9 +77,12 @@ class Grid:
         self.check = make_check(self._is_fine)
         located = [self.locate] if self.locate and self.locate not in self.parts else []
         every = [*self.parts, *located, self.check]
-        self.groups = [
-            FlowGroup(self.memory_of(number), every) for number in range(num_envs // group_size)
-        ]
+        memories = [self.memory_of(number) for number in range(num_envs // group_size)]
+        self.arguments = [{part: part.bind(memory) for part in every} for memory in memories]
+        self.nodes, self._cells = (
+            [self._join_groups(view) for view in views]
+            for views in (memories[0].incoming(0), memories[0].cells(0))
+        )
         self._checkers: list[Repeater] = []
         last = [config.width - 1.0, config.height - 1.0]
         self.last = torch.tensor(last, dtype=torch.float64, device=device)
@@ -95,6 +99,11 @@ class Grid:
             flow=pytree.tree_map(lambda t: t[own], self.flow),
         )
 
+    def _join_groups(self, view: Tensor) -> Tensor:
+        """Return a view ``[flows, ...]`` of the first group as one of all, ``[groups, ...]``."""
+        num_groups, length = self._populations.shape
+        return view.as_strided((num_groups, *view.shape), (length, *view.stride()))
+
     def rows_of(self, number: int) -> slice:
         """Return which flows of the batch are in a group."""
         return slice(number * self._size, (number + 1) * self._size)
@@ -110,19 +119,18 @@ class Grid:
 
     def list_step(self, number: int, parity: int) -> list[Bound]:
         """Return the parts of an even (0) or odd (1) step in order, with a group's arguments."""
-        arguments = self.groups[number].arguments
-        return [(part, arguments[part][parity]) for part in self.parts]
+        return [(part, self.arguments[number][part][parity]) for part in self.parts]
 
     def list_located(self, number: int) -> list[Bound]:
         """Return what locates a group's bodies, as after an odd step."""
         parts = [self.locate] if self.locate else []
-        return [(part, self.groups[number].arguments[part][1]) for part in parts]
+        return [(part, self.arguments[number][part][1]) for part in parts]
 
     def list_all(self, with_check: bool) -> list[Bound]:
         """Return all parts with arguments, the longest not last: so processes end together."""
-        collision, *rest = self.groups[0].arguments
+        collision, *rest = self.arguments[0]
         chosen = [part for part in rest if with_check or part is not self.check]
-        return [(part, self.groups[0].arguments[part][0]) for part in (*chosen, collision)]
+        return [(part, self.arguments[0][part][0]) for part in (*chosen, collision)]
 
     def forget_checks(self) -> None:
         """Let checks that ran before they were compiled be made again."""
@@ -131,8 +139,8 @@ class Grid:
     def is_fine(self) -> Tensor:
         """Return ``[B]``: whether density and speed are within the method, before an even step."""
         if not self._checkers:
-            each = [(self.check, group.arguments[self.check][0]) for group in self.groups]
-            self._checkers = [Repeater([own]) for own in each]
+            each = [(self.check, own[self.check][0]) for own in self.arguments]
+            self._checkers = [Repeater([bound]) for bound in each]
         found = []
         for checker in self._checkers:
             checker.run(1)
@@ -142,40 +150,39 @@ class Grid:
     def is_lost(self) -> Tensor:
         """Return ``[B]``: the middle is not finite, which all of a diverged flow soon becomes."""
         y, x = self.layout.height // 2, self.layout.width // 2
-        return torch.cat([~group.nodes[0][:, y, x].isfinite() for group in self.groups])
+        return ~self.nodes[0][..., y, x].isfinite().flatten()
 
     def fill_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
         """Set all nodes of the flows in ``rows`` ``[B]`` bool to the populations ``[B]``."""
-        for number, group in enumerate(self.groups):
-            own = self.rows_of(number)
-            if rows.is_cuda or self._size > 1 or rows[own].item():
-                group.fill_(rows[own], [value[own] for value in f])
+        for view, value in zip(self._cells, f, strict=True):
+            self._set_(view, rows, value[:, None])
 
     def write_(self, rows: Tensor, f: Tensor) -> None:
         """Set populations; ``rows`` ``[N]`` are indices, or ``[B]`` bool, then ``f`` is of all."""
         f = f.to(self._populations)
-        if rows.dtype == torch.bool:
-            for number, group in enumerate(self.groups):
-                part = self.rows_of(number)
-                group.merge_(rows[part], f[part])
-            return
-        for number in sorted(set((rows // self._size).tolist())):
-            is_own = rows // self._size == number
-            self.groups[number].write_(rows[is_own] % self._size, f[is_own])
+        for view, values in zip(self.nodes, f.unbind(1), strict=True):
+            if rows.dtype == torch.bool:
+                self._set_(view, rows, values)
+            else:
+                view[rows // self._size, rows % self._size] = values
+
+    def _set_(self, view: Tensor, rows: Tensor, values: Tensor) -> None:
+        """Set ``rows`` ``[B]`` bool of a view to theirs among the values ``[B, ...]`` of all."""
+        if rows.is_cuda:  # to see on the host which they are would be to wait
+            chosen = rows.view(-1, self._size, *(1,) * (view.dim() - 2))
+            view.copy_(torch.where(chosen, values.unflatten(0, (-1, self._size)), view))
+        else:
+            own = rows.nonzero()[:, 0]
+            view[own // self._size, own % self._size] = values[own].to(view)
 
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]``."""
-        return torch.cat([torch.stack(group.nodes, 1) for group in self.groups])
+        return torch.stack(self.nodes, 2).flatten(0, 1)
 
     def read(self, rows: Tensor | None = None) -> Macroscopic:
         """Return the fluid ``[N, Y, X]`` of the flows ``rows`` ``[B]``."""
-        fluids = []
-        for number, group in enumerate(self.groups):
-            nodes: Sequence[Tensor] = group.nodes
-            if rows is not None and not (own := rows[self.rows_of(number)]).all():
-                nodes = [f[own] for f in nodes]
-            fluids.append(compute_macroscopic(nodes))
-        return Macroscopic(*(torch.cat(each) for each in zip(*fluids, strict=True)))
+        nodes = [view.flatten(0, 1) for view in self.nodes]
+        return compute_macroscopic(nodes if rows is None else [view[rows] for view in nodes])
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Read density ``[B, P]`` and velocity ``[B, P, 2]`` between the nodes, bilinearly.
@@ -206,8 +213,7 @@ class Grid:
 
     def name_state(self) -> dict[str, list[Tensor]]:
         """Return populations ``f0`` to ``f8`` before an even step, and relaxation rates."""
-        nodes = zip(*(group.nodes for group in self.groups), strict=True)
-        populations = {f"f{q}": list(views) for q, views in enumerate(nodes)}
+        populations = {f"f{q}": list(view) for q, view in enumerate(self.nodes)}
         return {**populations, "omega": [self._omega]}
 
 

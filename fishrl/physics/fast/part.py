@@ -1,6 +1,6 @@
-"""Parts of the fast step, functions of tensors that they change in place, and groups of flows."""
+"""Parts of the fast step: functions of tensors that they change in place."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, TypeVar, TypeVarTuple
 
 import torch
@@ -8,7 +8,6 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.physics.fast.compiled import InPlaceFunction, compile_inplace, is_stored
-from fishrl.physics.fast.flow_memory import GroupMemory
 from fishrl.physics.fast.identity import identify
 from fishrl.physics.fast.recording import Call, record
 
@@ -100,35 +99,6 @@ class Part:
     def _act_on(self, *leaves: Tensor) -> None:
         assert self._form is not None
         self._act(*pytree.tree_unflatten(leaves, self._form))
-
-
-class FlowGroup:
-    """The populations of flows that advance together, and the arguments of the parts of their step.
-
-    Attributes:
-        nodes: the nine incoming populations ``[B, Y, X]`` before an even step.
-        arguments: arguments of each part, at even and odd steps.
-    """
-
-    def __init__(self, memory: GroupMemory, parts: Iterable[Part]) -> None:
-        self._cells = memory.cells(0)
-        self.nodes = memory.incoming(0)
-        self.arguments = {part: part.bind(memory) for part in parts}
-
-    def write_(self, rows: Tensor, f: Tensor) -> None:
-        """Set the incoming populations ``[N, Q, Y, X]`` of the flows ``rows`` ``[N]``, indices."""
-        for view, values in zip(self.nodes, f.unbind(1), strict=True):
-            view[rows] = values
-
-    def merge_(self, rows: Tensor, f: Tensor) -> None:
-        """Set the incoming populations of ``rows`` ``[B]`` bool to theirs among all of ``f``."""
-        for view, values in zip(self.nodes, f.unbind(1), strict=True):
-            view.copy_(torch.where(rows[:, None, None], values, view))
-
-    def fill_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
-        """Set all cells of the flows in ``rows`` ``[B]`` bool to the populations ``[B]``."""
-        for view, value in zip(self._cells, f, strict=True):
-            view.copy_(torch.where(rows[:, None], value[:, None], view))
 
 
 class Step(Protocol):

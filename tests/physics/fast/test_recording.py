@@ -17,7 +17,7 @@ from tests.physics.flows import make_tank
 
 def list_unrecorded(solver: InPlaceSolver, parts: Iterable[Part]) -> list[str]:
     """Return the parts whose recording is the part itself."""
-    arguments = solver._batch.grids[0].groups[0].arguments
+    arguments = solver._batch.grids[0].arguments[0]
     return [p.name for p in parts if p.record(arguments[p][0])[0].func == p.run]
 
 
@@ -37,7 +37,7 @@ def test_recorded_steps_equal_launched_ones_bit_for_bit(
     recorded.advance_(20)
     launched.compile()
     (grid,) = launched._batch.grids
-    for number in range(len(grid.groups)):
+    for number in range(len(grid.arguments)):
         Repeater(grid.list_located(number)).launch(1)
         Repeater([*grid.list_step(number, 0), *grid.list_step(number, 1)]).launch(10)
     after = launched.state_dict()
@@ -45,7 +45,7 @@ def test_recorded_steps_equal_launched_ones_bit_for_bit(
         assert torch.equal(value, after[key]), key
     (grid,) = recorded._batch.grids
     assert list_unrecorded(recorded, grid.parts) == unrecorded
-    for part in grid.groups[0].arguments:
+    for part in grid.arguments[0]:
         monkeypatch.setattr(part, "run", None)
     recorded.advance_(20)  # calls none of them
 
@@ -61,7 +61,7 @@ def test_every_part_of_every_preset_and_task_is_recorded() -> None:
         new = [part for part, _ in solver.list_calls() if part.key not in known]
         known |= {part.key for part in new}
         for part in new:
-            part.compile(solver._batch.grids[0].groups[0].arguments[part][0])
+            part.compile(solver._batch.grids[0].arguments[0][part][0])
         assert list_unrecorded(solver, [p for p in new if p.name != "crossing"]) == [], word
 
 
