@@ -1,8 +1,6 @@
 """The program that shows flows, and live views of trainings, on kinematic fish."""
 
 import socket
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -16,15 +14,11 @@ from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Server
 from fishrl.viewer.process import HOST
 from tests.experiments.gait.tasks import OVERRIDES
+from tests.viewer.test_files import run_rerun
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
 GAIT = ["preset=gait_small", *OVERRIDES, "flows.compile=false"]
-
-
-def list_entities(path: Path) -> str:
-    command = [sys.executable, "-m", "rerun", "rrd", "print", "-v", str(path)]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 def test_chosen_flows_are_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -32,7 +26,7 @@ def test_chosen_flows_are_recorded(tmp_path: Path, capsys: pytest.CaptureFixture
     arguments = ["policy=pid", "episodes=4", "shown_flows=[1,3]", "periods=1", f"save={path}"]
     view.main([*GAIT, "recognition=oracle", *arguments])
     assert capsys.readouterr().out == f"written: {path}, {path.stat().st_size / 1e6:.2f} MB\n"
-    shown = list_entities(path)
+    shown = run_rerun("rrd", "print", "-v", str(path))
     assert "/flow_1/plots/class_probabilities/2" in shown
     assert "/flow_3/world/neuromasts" in shown
     assert "/flow_0/" not in shown
@@ -102,7 +96,8 @@ def test_recording_stays_if_viewer_fails(tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.raises(SystemExit, match="rerun does not run") as failed:
         view.main(words)
     kept = Path(str(failed.value).partition("kept: ")[2])
-    assert kept.is_relative_to(tmp_path) and "/flow_0/" in list_entities(kept)
+    assert kept.is_relative_to(tmp_path)
+    assert "/flow_0/" in run_rerun("rrd", "print", "-v", str(kept))
     assert not (tmp_path / "x.png").exists()
 
 

@@ -90,19 +90,6 @@ def test_every_view_draws(tmp_path: Path, field_format: FieldFormat) -> None:
     check_views(pictures, make_scene(), title="flow 0: slow", least=0.02)
 
 
-def test_viewer_without_driver_names_its_requirement(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unstarted: type[Viewer]
-) -> None:
-    def connect(url: str) -> Any:
-        raise ConnectionError("transport error")
-
-    monkeypatch.setattr("rerun.experimental.ViewerClient", SimpleNamespace(connect=connect))
-    write(tmp_path / "flows.rrd", num_frames=1)
-    with pytest.raises(ValueError, match=r"rerun does not run .* --headless.* a Vulkan driver"):
-        write_screenshot(tmp_path / "flows.rrd", tmp_path / "x.png", time_T=0.0)
-    assert not (tmp_path / "x.png").exists()
-
-
 def test_busy_viewer_is_retried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unstarted: type[Viewer]
 ) -> None:

@@ -94,6 +94,24 @@ def find_processes(mark: str) -> set[int]:
     return found
 
 
+def start_marked(code: str, folder: Path) -> subprocess.Popen[bytes]:
+    """Start a program that ``find_processes`` finds, with those that it starts."""
+    env = {**os.environ, "LEFT_BY": str(folder)}
+    return subprocess.Popen([sys.executable, "-c", code], env=env, stdout=subprocess.PIPE)
+
+
+def await_processes(folder: Path, num: int) -> set[int]:
+    """Return what is left of a program once there are no more than ``num`` processes.
+
+    They are looked at once: one that is starting shows no environment for a moment.
+    """
+    deadline = time.monotonic() + 300.0
+    while len(left := find_processes(str(folder))) > num and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert len(left) == num
+    return left
+
+
 def test_flows_are_checked_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     solver, threads, before = make_solver(0), list[int](), torch.get_num_threads()
     (grid,) = solver._batch.grids
@@ -227,20 +245,12 @@ def test_a_compiler_that_fails_is_an_error_with_its_message(
     ("phase", "number"), [("begun", signal.SIGTERM), ("ready", signal.SIGKILL)]
 )
 def test_killed_program_leaves_no_process(tmp_path: Path, phase: str, number: int) -> None:
-    with subprocess.Popen(
-        [sys.executable, "-c", PROGRAM],
-        env={**os.environ, "LEFT_BY": str(tmp_path)},
-        stdout=subprocess.PIPE,
-    ) as program:
-        assert program.stdout is not None
+    with start_marked(PROGRAM, tmp_path) as program:
         while program.stdout.readline().decode().strip() != phase:
             assert program.poll() is None
         assert phase == "begun" or len(find_processes(str(tmp_path))) >= 2
         program.send_signal(number)
-    deadline = time.monotonic() + 300.0
-    while (left := find_processes(str(tmp_path))) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert not left  # looked at once: a process that is starting shows no environment for a moment
+    await_processes(tmp_path, 0)
 
 
 #: A program whose forked child outlives some flows, and then the program itself.
@@ -265,19 +275,10 @@ time.sleep(600.0)
 
 @ON_LINUX
 def test_a_forked_process_keeps_no_worker_alive_and_ends_none(tmp_path: Path) -> None:
-    with subprocess.Popen(
-        [sys.executable, "-c", FORKING],
-        env={**os.environ, "LEFT_BY": str(tmp_path)},
-        stdout=subprocess.PIPE,
-    ) as program:
-        assert program.stdout is not None
+    with start_marked(FORKING, tmp_path) as program:
         assert program.stdout.readline() == b"closed\n"
         program.kill()
-    deadline = time.monotonic() + 300.0
-    while len(left := find_processes(str(tmp_path))) > 1 and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert len(left) == 1
-    os.kill(left.pop(), signal.SIGKILL)
+    os.kill(await_processes(tmp_path, 1).pop(), signal.SIGKILL)
 
 
 def test_workers_import_modules_next_to_the_script_alone(tmp_path: Path) -> None:
