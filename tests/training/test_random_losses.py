@@ -86,6 +86,7 @@ def add_machine(machines: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.cluster
+@pytest.mark.timeout(7200)  # some twenty starts of two processes each, where others compute too
 def test_training_whose_machines_are_killed_at_random_ends_as_an_undisturbed_one(
     toy: Toy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
