@@ -18,14 +18,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 import torch
 from matplotlib.patches import Wedge
-from sweep import ARMS, SCORES, make_plan, make_task
+from sweep import ARMS, load_actor, make_task
 from tensordict import TensorDictBase
 
 from experiments.gait.diagnostics import find_phase
 from experiments.gait.trials import list_shedding
 from fishrl.envs import Flows, make_env, run_episodes
 from fishrl.training.evaluation import fixed_starts
-from fishrl.training.policy_spec import PolicySpec
 
 KEPT, FOLDER = Path("runs/blind_by_reward/behaviour"), Path(__file__).parent
 STARTS, PERIODS, FRAMES = 24, 40, 8
@@ -48,15 +47,6 @@ LOST: dict[str, tuple[tuple[int, ...], tuple[str, ...], tuple[int, ...]]] = {
     "changes": (NOSE + FRONT + REAR, ("ahead", "left", "pressure"), (1,)),
     "all": (NOSE + FRONT + REAR, ("ahead", "left", "pressure"), (0, 1)),
 }
-
-
-def load_actor(arm: str, seed: int) -> Any:
-    """Return the policy by the rule that the sweep quotes."""
-    plan = make_plan(arm, seed)
-    actor = plan.algorithm.make_policy(PolicySpec.for_task(plan.task, hidden=plan.hidden))
-    (weights,) = torch.load(SCORES / f"{arm}-{seed}.pt", weights_only=True).values()
-    actor.load_state_dict(weights)
-    return actor
 
 
 def deafen(act: Any, arm: str, lost: str) -> Callable[[TensorDictBase], TensorDictBase]:

@@ -3,10 +3,12 @@
     python studies/blind_by_reward/sweep.py train --arm line-sees-unit --seed 0    # continues a run
     python studies/blind_by_reward/sweep.py score --arm line-sees-unit --seed 0
     python studies/blind_by_reward/sweep.py table                                  # of what is scored
+    python studies/blind_by_reward/sweep.py vary --arm line-sees-unit-no-history --seed 0
 """
 
 import argparse
 import json
+import shutil
 from dataclasses import replace
 from math import sqrt
 from pathlib import Path
@@ -17,7 +19,11 @@ import torch
 from fishrl.envs import Flows, KarmanGait, make_env, run_episodes
 from fishrl.training import Callback, LearningSettings, Plan, RunSettings, Training, complete
 from fishrl.training import load_plan, load_policy, open_run
+from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.evaluation import fixed_starts
+from fishrl.training.export import export_policy
+from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.run_folder import write_json
 
 SIGHT, LINE, OWN = ("place", "drift", "heading"), "lateral_line", "own_motion"
 SEES: dict[str, Any] = {"critic_observes": SIGHT}
@@ -44,6 +50,14 @@ RUNS, SCORES = Path("runs/blind_by_reward"), Path(__file__).parent / "data"
 RULES = {"last": 0, "average-5000": 5_000, "average-20000": 20_000}
 #: Starts by their seed and number, and decisions: 161 are 20 T.
 SETS = {"validation": (1, 16, 321), "test": (0, 48, 321), "test-100-T": (0, 48, 801)}
+
+#: Arms whose policies are in the zoo.
+ZOO = {"line-sees-unit-no-history": "gait_bend_blind_line", "own-sees-unit": "gait_bend_blind"}
+#: Conditions of the plan in which the best blind arm is tried, by settings of the stream or sense.
+STREAMS: dict[str, Any] = {f"stream {u} L/T": {"speeds_bl": (u,)} for u in (0.4, 0.45, 0.55, 0.6)}
+STREAMS |= {f"disc {d} L": {"diameter_bl": d} for d in (0.3, 0.5)}
+SIGNALS = {"noise 0.1": {"noise": 0.1}, "delay of 2": {"delay": 2}}
+SIGNALS |= {f"silence {s}": {"silence": s} for s in (0.2, 1.0)}
 
 
 def make_task(**changes: Any) -> KarmanGait:
@@ -140,6 +154,54 @@ def score(arm: str, seed: int) -> None:
     (SCORES / f"{arm}-{seed}.json").write_text(json.dumps(results, indent=1))
 
 
+def load_actor(arm: str, seed: int) -> Any:
+    """Return the policy whose weights are stored."""
+    plan = make_plan(arm, seed)
+    actor = plan.algorithm.make_policy(PolicySpec.for_task(plan.task, hidden=plan.hidden))
+    (weights,) = torch.load(SCORES / f"{arm}-{seed}.pt", weights_only=True).values()
+    actor.load_state_dict(weights)
+    return actor
+
+
+def vary(arm: str, seed: int) -> None:
+    """Score the stored policy on the test starts in other streams and with other signals."""
+    task, actor, results = make_task(**ARMS[arm][0], time_limit=321), load_actor(arm, seed), {}
+    changed = {name: replace(task, stream=replace(task.stream, **s)) for name, s in STREAMS.items()}
+    for name, signals in SIGNALS.items():
+        changed[name] = replace(task, lateral_line=replace(task.lateral_line, **signals))
+    for name, other in {"as trained": task, **changed}.items():
+        env = make_env(task=other, flows=Flows(num_envs=16))
+        found = run_episodes(env, actor, fixed_starts(other, 48, seed=0)).metrics()
+        env.close()
+        results[name] = {"T": found["mean_length_T"], "lasts": found["success_rate"]}
+        print(f"{name:18s}{found['mean_length_T']:5.1f} T, {found['success_rate']:.0%} last", flush=True)
+    (SCORES / f"varied-{arm}-{seed}.json").write_text(json.dumps(results, indent=1))
+
+
+def keep(arm: str, seed: int) -> None:
+    """Write the policy whose weights are stored as one of the zoo, with its scores on the test."""
+    (rule,) = torch.load(SCORES / f"{arm}-{seed}.pt", weights_only=True)
+    scores = json.loads((SCORES / f"{arm}-{seed}.json").read_text())[f"{rule}/test"]
+    plan, run = make_plan(arm, seed), RUNS / "kept" / f"{arm}-{seed}"
+    spec, actor = PolicySpec.for_task(plan.task, hidden=plan.hidden), {"actor": load_actor(arm, seed)}
+    save_checkpoint(run, actor, spec=spec, frames=FRAMES, config=plan.to_config())
+    shutil.copy(SCORES / f"{arm}-{seed}.csv", run / "metrics.csv")
+    result = {
+        "success_rate": scores["lasts"],
+        "mean_return": sum(scores["terms"].values()),
+        "mean_length_T": scores["T"],
+        "episodes": len(scores["succeeded"]),
+    }
+    write_json(run / "summary.json", result)
+    line = "with" if LINE in ARMS[arm][0]["observes"] else "without"
+    title = f"Kármán gait by bending, blind, {line} lateral line, by reward alone"
+    folder = export_policy(run, RUNS / "zoo" / ZOO[arm], title=title)
+    card = folder / "README.md"
+    told = card.read_text().replace("Final evaluation from", "Evaluation for 40 T (`task.time_limit=321`) from")
+    card.write_text(told)
+    print(folder)
+
+
 def table() -> None:
     """Print mean and 95 % interval over seeds of each arm, rule and set."""
     quantile = {2: 12.71, 3: 4.30, 4: 3.18, 5: 2.78}  # of Student's t
@@ -159,11 +221,11 @@ def table() -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("what", choices=("train", "score", "table"))
+    parser.add_argument("what", choices=("train", "score", "vary", "keep", "table"))
     parser.add_argument("--arm", choices=ARMS, default="line-sees-unit")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     if options.what == "table":
         table()
     else:
-        {"train": train, "score": score}[options.what](options.arm, options.seed)
+        {"train": train, "score": score, "vary": vary, "keep": keep}[options.what](options.arm, options.seed)
