@@ -291,4 +291,10 @@ OTHERS = {
         read=read_transfer,
         touches=39,
     ),
+    "endurance": Pair(
+        program="endurance",
+        words=[*TRAINING, "name=run", "buffer_size=9"],
+        read=read_trainings,
+        touches=200,
+    ),
 }

@@ -209,6 +209,12 @@ def test_tiny_reproduction_runs_all_jobs_and_writes_its_page(tmp_path: Path) -> 
     assert "| survival with both, T | 100.0, 100.0, 100.0 |" in page
 
 
+def test_long_training_is_watched(runs: Path) -> None:
+    task = set_task(REAL["predation"])
+    _run("endurance", f"folder={runs}", "name=long", *FEW, *task, "baselines=[]", "buffer_size=9")
+    assert "open_files" in (runs / "long" / "endurance.json").read_text(encoding="utf-8")
+
+
 def test_validation_case_and_benchmark_run(tmp_path: Path) -> None:
     _run("validate", "quick=true", "cases=[taylor-green]", f"folder={tmp_path}", "jobs=1")
     few = ["groups=[probe]", "body_length=80", "rounds=2", "burst=0.01", "threads=1"]
