@@ -353,12 +353,12 @@ class FlowBatch:
 
     def name_state(self) -> dict[str, list[Tensor]]:
         """Return everything that the future depends on, by name, each in groups of flows."""
-        pairs, _ = pytree.tree_flatten_with_path(self.flow)
-        named = {pytree.keystr(path).lstrip("."): [leaf] for path, leaf in pairs}
+        named: dict[str, list[Tensor]] = {}
         for number, grid in enumerate(self.grids):
             own = grid.name_state() | ({"origin": [grid.origin]} if number else {})
             named |= {f"patch {number} {name}" if number else name: v for name, v in own.items()}
-        return named
+        pairs, _ = pytree.tree_flatten_with_path(self.flow)
+        return named | {pytree.keystr(path).lstrip("."): [leaf] for path, leaf in pairs}
 
     def load_state_(self, state: Mapping[str, Tensor]) -> None:
         """Restore the tensors of ``name_state``, each of all flows ``[B, ...]``.
