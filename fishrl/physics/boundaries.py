@@ -67,11 +67,14 @@ class Boundary(ABC):
 
     Attributes:
         is_local: whether the edge's own outgoing populations suffice.
+        ignores_side: whether the same happens at every edge. The fast step may then set two at
+            once: tensors are ``[B, 2, n]``, the speed ``[B, 1, n + 2]``.
         velocity: (x, y) that it imposes, in units of the flow's stream speed; None leaves it free.
         profile: how that velocity varies along the edge.
     """
 
     is_local: ClassVar[bool] = False
+    ignores_side: ClassVar[bool] = False
     velocity: tuple[float | None, float | None] | None
     profile: Profile
 
@@ -119,6 +122,8 @@ class NonEquilibrium(Settings, Boundary):
         profile: how the velocity varies along the edge.
     """
 
+    ignores_side = True
+
     velocity: tuple[float | None, float | None] | None = None
     density: Annotated[float, Field(gt=0, lt=2)] | None = None
     profile: Profile = Profile.UNIFORM
@@ -136,7 +141,7 @@ class NonEquilibrium(Settings, Boundary):
         # what is not given is the neighbour's; 0.0 * ... gives a number the shape of the edge
         drho_b = drho if self.density is None else 0.0 * drho + (self.density - 1.0)
         ux_b, uy_b = (
-            own if given is None else 0.0 * own + given * speed[:, 1:-1]
+            own if given is None else 0.0 * own + given * speed[..., 1:-1]
             for own, given in zip((ux, uy), self.velocity or (None, None), strict=True)
         )
         return _extrapolate(neighbour, fluid, Macroscopic(drho_b, ux_b, uy_b))
