@@ -18,7 +18,7 @@ from experiments.benchmarks.step_clock import clock_parts, list_steps
 from fishrl.benchmark import find_version, list_versions
 from fishrl.envs import AbstractTask, Flows, make_env, make_task
 from fishrl.physics import InPlaceSolver
-from fishrl.torch_state import one_thread
+from fishrl.torch_state import in_own_state, one_thread
 
 #: Steps of a round, and of the bursts of which the fastest counts.
 NUM_STEPS, BURST = 192, 32
@@ -51,6 +51,7 @@ def make_step(name: str, task: AbstractTask, **options: Any) -> Benchmark:
             solver.advance_(2 * config.coarsest_spacing)  # which finds where the bodies are
             clock_parts(case, solver, steps)
 
+    @in_own_state
     def advance(num_steps: int) -> dict[str, float]:
         """Return the seconds of a step in the fastest burst, as environments advance."""
         times, rows = [time.perf_counter()], torch.ones(1, dtype=torch.bool)

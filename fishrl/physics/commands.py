@@ -30,7 +30,7 @@ class Commands:
     def __init__(self, configs: Sequence[FlowConfig]) -> None:
         self._configs = configs
         self._growth: dict[int, tuple[list[float], list[float]] | None] = {}
-        self._accepted: dict[int, Tensor] = {}
+        self._accepted: dict[int, list[list[float]]] = {}
 
     def forget(self, *indices: int) -> None:
         """Expect these bodies to have other parameters from now on than the configurations'."""
@@ -50,21 +50,18 @@ class Commands:
         for index, state in enumerate(bodies):
             if kinds[index].is_still:
                 continue
-            order = (state.frequency, state.turn, state.turn_steps, state.amplitude_goal)
-            held = state.velocity[:, : int(kinds[index].motion.holds_x)]
-            now = torch.cat((torch.stack(order, 1), held), 1)
-            accepted = self._accepted.get(index)
-            if (
-                accepted is None
-                or not torch.equal(now, accepted)
-                or state.amplitude.abs().max() > _MOST
-            ):
-                self._check_body(index, state, held, params[index])
+            held = state.velocity[:, 0] if kinds[index].motion.holds_x else state.turn
+            order = (state.frequency, state.turn, state.turn_steps, state.amplitude_goal, held)
+            # one operator before each advance: numbers are compared on the host
+            *now, amplitudes = torch.stack((*order, state.amplitude)).tolist()
+            if now != self._accepted.get(index) or any(abs(a) > _MOST for a in amplitudes):
+                self._check_body(index, state, params[index])
                 self._accepted[index] = now
 
-    def _check_body(self, index: int, state: BodyState, held: Tensor, params: BodyParams) -> None:
+    def _check_body(self, index: int, state: BodyState, params: BodyParams) -> None:
         kinds = [config.bodies[index] for config in self._configs]
         every, motion = torch.ones_like(state.turn, dtype=torch.bool), kinds[0].motion
+        held = state.velocity[:, : int(motion.holds_x)]
         named, reason = f"of body {index}", f": no surface may exceed {MAX_IMPOSED_SPEED} per step"
         grown, faster = self._measure(index, params)
         sizes = [kind.size * by for kind, by in zip(kinds, grown, strict=True)]

@@ -131,9 +131,10 @@ class InPlaceSolver:
         unit = 2 * self.config.coarsest_spacing
         if num_steps < 0 or num_steps % unit:
             raise ValueError(f"num_steps = {num_steps}: must be a multiple of {unit}, or 0")
-        is_one_launch = self.device.type == "cuda" and self._group_size == self.num_envs
-        chosen = self._choose(rows).view(-1, self._group_size).any(-1)
-        groups = [0] if is_one_launch else chosen.nonzero()[:, 0].tolist()
+        chosen, size = self._choose(rows), self._group_size
+        is_one_launch = self.device.type == "cuda" and size == self.num_envs
+        flags = [True] if is_one_launch else chosen.view(-1, size).any(-1).tolist()
+        groups = [number for number, is_wanted in enumerate(flags) if is_wanted]
         if self._unplaced is not None and self._unplaced.view(-1, self._group_size)[groups].any():
             raise ValueError(
                 f"the {len(self.bodies)} bodies overlap at the centre of the domain: "
