@@ -1,6 +1,7 @@
 """Settings check the type and the bounds of each field, and convert only what is harmless."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import nan
 from typing import Annotated, Any, Literal
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
+from fishrl.envs.streams import Stream
+from fishrl.physics import Ellipse
 from fishrl.settings import REQUIRED, FieldErrors, Role, Settings, list_fields
 
 
@@ -46,6 +49,19 @@ def test_right_values_are_kept_with_python_types(name: str, value: Any, kept: An
     assert made == kept and type(made) is type(kept)
     if isinstance(kept, tuple):
         assert list(map(type, made)) == list(map(type, kept))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Ellipse(24, 12), r"such as Ellipse\(length=24, width=12\)"),
+        (lambda: Ellipse(angle=20), "InPlaceSolver.reset_ places it, heading in radians"),
+        (lambda: Stream(speeds_bl=0.6), r"must be a list, such as \[0\.6\]"),
+    ],
+)
+def test_an_error_says_how_to_write_it(call: Callable[[], Any], message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        call()
 
 
 def test_every_error_has_a_line() -> None:

@@ -37,6 +37,7 @@ def reset_in_stream(solver: InPlaceSolver, speed: float) -> None:
         (lambda s: s.reset_(torch.ones(2), STARTS, HEADINGS), "rows has shape"),
         (lambda s: reset_in_stream(s, 4.0), r"times stream_speed = .*: allowed is at most 0\.3"),
         (lambda s: s.reset_(EVERY, STARTS * torch.inf, HEADINGS), "position = .*must be finite"),
+        (lambda s: s.reset_(EVERY, STARTS, 0.35), "heading = 0.35: give a tensor of shape"),
         (lambda s: s.load_state_dict({}), "state 'f0' is nothing, expected torch.float32"),
     ],
 )
