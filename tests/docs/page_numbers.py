@@ -20,9 +20,10 @@ C_START, CHANGING, SEVERAL = (
     "tasks/several_fish.md",
 )
 SENSES, GAIT, PREDATION = "tasks/senses.md", "tasks/karman_gait.md", "tasks/predation.md"
-#: All but the list of changes and the verdicts that ``make validate`` writes with their numbers.
 EVERY = (README, *sorted(str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")))
-PAGES = tuple(page for page in EVERY if page not in ("changelog.md", "validation.md"))
+#: The list of changes, verdicts that ``make validate`` writes, and what ``make docs`` generates.
+OTHERS = ("changelog.md", "validation.md", "configuration.md", "task_reference.md")
+PAGES = tuple(page for page in EVERY if page not in OTHERS)
 
 Numbers = Sequence[float]
 

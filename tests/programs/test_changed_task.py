@@ -69,7 +69,7 @@ def test_task_settings_not_given_are_those_of_the_run(tmp_path: Path) -> None:
     [
         ("task=predation task.stream.has_disc=false", "there is no 'task.stream'"),
         ("task.num_stacked=3", "num_inputs = 8, the current one is 6"),
-        ("task._target_=fishrl.envs.Predation", "there is no 'task."),
+        ("task._target_=fishrl.envs.Predation", "the current one is 'Predation'"),
         (
             "task.control={_target_:fishrl.envs.control.DirectFrequencies,"
             "frequencies:[1,1.5,2,2.5]}",
