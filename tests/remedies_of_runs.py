@@ -227,7 +227,7 @@ def record(task: Any) -> Any:
 
 
 VALUES, MAKERS = (make_continuous_actor, make_value_actor), (gymnasium.make, gymnasium.make_vec)
-HUNTER, RANDOM = "fishrl.envs.Predation", ("policy=random", *WORDS)
+PREDATION, RANDOM = "fishrl.envs.Predation", ("policy=random", *WORDS)
 RUNS: list[tuple[Any, ...]] = [
     (lambda folder: check_folder(f"{folder}/x"), "nowhere", "."),
     (lambda file: check_folder(file), ".", "x"),
@@ -246,7 +246,7 @@ RUNS: list[tuple[Any, ...]] = [
     (lambda exclude: learn([PARTS[0] if exclude else PARTS[0] / 0, PARTS[1]]), False, True),
     (make_loss, 1, 2),
     (lambda make_value_actor: MaskedDQNLoss(make_value_actor(**SIZES)), *VALUES),
-    (lambda **g: build(Plan, {"task": {"reynolds": 500.0} | g}), "_target_", OUT, HUNTER),
+    (lambda **g: build(Plan, {"task": {"reynolds": 500.0} | g}), "_target_", OUT, PREDATION),
     (read_own, "modules", OUT, ("own_control",)),
     (partial(Plan, task=SHORT), "algorithm", SAC(), DQN()),
     (show_critics, ("place_of_the_food",), ()),

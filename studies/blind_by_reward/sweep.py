@@ -197,8 +197,8 @@ def keep(arm: str, seed: int) -> None:
     title = f"Kármán gait by bending, blind, {line} lateral line, by reward alone"
     folder = export_policy(run, RUNS / "zoo" / ZOO[arm], title=title)
     card = folder / "README.md"
-    told = card.read_text().replace("Final evaluation from", "Evaluation for 40 T (`task.time_limit=321`) from")
-    card.write_text(told)
+    words = card.read_text().replace("Final evaluation from", "Evaluation for 40 T (`task.time_limit=321`) from")
+    card.write_text(words)
     print(folder)
 
 
