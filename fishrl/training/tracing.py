@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import CudaGraphModule
+from tensordict.nn.functional_modules import _exclude_td_from_pytree
 from torch import Tensor
 from torch._functorch.compile_utils import fx_graph_cse
 from torch.fx import Graph, GraphModule, Node
@@ -72,7 +73,9 @@ class Traced:
         operations = _strip(make_fx(run)(*tensors))
         if tensors[0].is_cuda:
             operations = torch.no_grad()(operations)
-            self._operations = CudaGraphModule(operations, device=tensors[0].device)
+            # it would take TensorDict from torch's trees for good, and with it the env's own graphs
+            with _exclude_td_from_pytree():
+                self._operations = CudaGraphModule(operations, device=tensors[0].device)
         else:
             self._operations = torch.inference_mode()(operations)
         return results

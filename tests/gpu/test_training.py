@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import torch
 from tensordict.nn import CudaGraphModule
+from torch.utils import _pytree as pytree
 
 from fishrl.envs import Flows, Predation
 from fishrl.training import DiscreteSAC, LearningSettings, Plan, open_run, resume
@@ -77,5 +78,6 @@ def test_a_gradient_step_is_one_graph(algorithm: Any) -> None:
         if is_traced:
             graph = learner._step._operations
             assert isinstance(graph, CudaGraphModule) and graph.graph is not None  # recorded
+    assert len(pytree.tree_leaves(transitions)) > 1  # decisions of the same process stay graphs
     for step, expected in zip(*runs, strict=True):
         torch.testing.assert_close(step, expected)
