@@ -193,30 +193,29 @@ ONLINE = {
     "checkpoint_frames": 6_144,
 }
 OFFLINE = {
-    "total_frames": 1600,
+    "total_frames": 2400,
     "flows": Flows(num_envs=16),
     "eval_frames": 400,
     "warmup_frames": 640,
     "batch_size": 256,
 }
-#: Seeds 0 to 6 of discrete SAC give 24, 31, 28, 30, 28, 32 and 30 captures of 32. With gamma 0.99,
-#: ``alpha_init=1.0``, batches of 64 and half the warm-up, seeds 1 to 6 give 13 to 32.
+#: Seeds 1 to 6 of discrete SAC capture 30 to 32 of 32.
 OFFLINE |= {"updates_per_frame": 1.0, "tau": 0.03, "gamma": 0.9, "buffer_size": 2000}
 
 
 @pytest.mark.learning
 @pytest.mark.parametrize(
-    ("algorithm", "is_continuous", "settings", "least"),
+    ("algorithm", "is_continuous", "settings"),
     [
-        (DiscreteSAC(alpha_init=0.2, target_entropy_weight=0.3), False, OFFLINE, 0.6),
-        pytest.param(SAC(alpha_init=0.2), True, OFFLINE, 0.6, marks=pytest.mark.slow),
-        pytest.param(PPO(rollout_length=16), False, ONLINE, 0.75, marks=pytest.mark.slow),
-        (PPO(rollout_length=16), True, ONLINE, 0.75),
+        (DiscreteSAC(alpha_init=0.2, target_entropy_weight=0.3), False, OFFLINE),
+        pytest.param(SAC(alpha_init=0.2), True, OFFLINE, marks=pytest.mark.slow),
+        pytest.param(PPO(rollout_length=16), False, ONLINE, marks=pytest.mark.slow),
+        (PPO(rollout_length=16), True, ONLINE),
     ],
     ids=["discrete sac", "sac", "ppo of discrete actions", "ppo"],
 )
 def test_fish_learns_to_catch_still_food(
-    toy: Toy, algorithm: Algorithm, is_continuous: bool, settings: dict[str, Any], least: float
+    toy: Toy, algorithm: Algorithm, is_continuous: bool, settings: dict[str, Any]
 ) -> None:
     summary = toy.begin(
         task={"food_speed_bl": 0.0, "is_continuous": is_continuous},
@@ -229,7 +228,7 @@ def test_fish_learns_to_catch_still_food(
         **settings,
     ).run()
     # Random actions captured 6, 5, 9 and 3 of 32, PPO 32.
-    assert summary["success_rate"] >= least
+    assert summary["success_rate"] >= 0.75
     assert summary["random_success_rate"] <= 0.4
 
 
