@@ -9,12 +9,12 @@ from collections.abc import Callable, Sequence
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import CudaGraphModule
-from tensordict.nn.functional_modules import _exclude_td_from_pytree
 from torch import Tensor
 from torch._functorch.compile_utils import fx_graph_cse
 from torch.fx import Graph, GraphModule, Node
 from torch.fx.experimental.proxy_tensor import make_fx
+
+from fishrl.envs.repeating import Repeated
 
 Operations = Callable[..., Sequence[Tensor]]
 
@@ -70,12 +70,11 @@ class Traced:
             results = self._function(entries)
             return results
 
-        operations = _strip(make_fx(run)(*tensors))
+        operations: Operations = _strip(make_fx(run)(*tensors))
         if tensors[0].is_cuda:
             operations = torch.no_grad()(operations)
-            # it would take TensorDict from torch's trees for good, and with it the env's own graphs
-            with _exclude_td_from_pytree():
-                self._operations = CudaGraphModule(operations, device=tensors[0].device)
+            repeated = Repeated(lambda given: (operations(*given), None), "a gradient step")
+            self._operations = lambda *given: repeated(given)[0]
         else:
             self._operations = torch.inference_mode()(operations)
         return results
