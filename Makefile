@@ -51,8 +51,8 @@ $(DEV_STAMP): $(STAMP)
 	@$(UV) -e '.[dev]' || $(PIP) -e '.[dev]'
 	@touch $@
 
-train: $(STAMP) ## train a policy to catch moving food; ARGS="seed=1 ..." sets any setting
-	$(BIN)/fishrl train $(ARGS)
+train: $(STAMP) ## train a policy to catch moving food on a coarse grid; ARGS="seed=1 ..." sets any setting
+	$(BIN)/fishrl train preset=quick total_frames=4900 $(ARGS)
 
 demo: $(STAMP) ## film trained policies that catch food and hold station
 	$(BIN)/fishrl demo $(ARGS)
