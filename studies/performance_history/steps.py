@@ -1,17 +1,17 @@
 """Time a step of the presets at an earlier commit and now, in turns, on one core.
 
-    mkdir before && git archive e28df4c1 fishrl | tar x -C before
-    python studies/performance_history/steps.py before docs/performance.md
+    python studies/performance_history/steps.py e28df4c1 docs/performance.md
 
 Each flow has a process per version. They take turns in rounds of 200 steps from the same start, of
-which the fastest burst of 20 steps counts, and the fastest pair of steps with a clock after each
-part. The table replaces the one between the marks ``before: begin`` and ``before: end`` of the page.
+which the fastest burst of 20 steps counts, and of each part the fastest pair of steps. The table
+replaces what is between the marks ``before: begin`` and ``before: end`` of the page.
 """
 
 import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import pi
@@ -62,17 +62,18 @@ def time_flow(words: Sequence[str]) -> None:
         solver.load_state_dict(start)
         solver.advance_(2)  # which finds where the bodies are
         parts = [
-            (part.name, [bind(part, own[k]) for k in (0, 1)]) for part, own in solver.list_calls()
+            (find_column(part.name), [bind(part, own[k]) for k in (0, 1)])
+            for part, own in solver.list_calls()
         ]
         least: dict[str, float] = {}
         for _ in range(NUM_STEPS // BURST):
             spent: dict[str, float] = {}
             for parity in (0, 1):
                 before = perf_counter()
-                for name, calls in parts:
+                for column, calls in parts:
                     for call in calls[parity]:
                         call()
-                    now, column = perf_counter(), find_column(name)
+                    now = perf_counter()
                     spent[column] = spent.get(column, 0.0) + 0.5 * (now - before)
                     before = now
             before = perf_counter()
@@ -129,17 +130,20 @@ def compare(before: Path) -> str:
     return "\n".join(lines)
 
 
-def write_page(before: Path, page: Path) -> None:
-    """Replace the table of a page."""
+def write_page(commit: str, page: Path) -> None:
+    """Replace the table of a page by one that compares with a commit."""
     from experiments.benchmarks.machine import describe_machine
 
     machine = describe_machine()
     revision = subprocess.check_output(["git", "rev-parse", "--short=8", "HEAD"], text=True).strip()
     heading = (
         f"{machine['cpu']}, one core, load at start {machine['load']}; torch {machine['torch']}; "
-        f"commits e28df4c1 and {revision}."
+        f"commits {commit} and {revision}."
     )
-    table = f"{heading}\n\n{compare(before)}"
+    with tempfile.TemporaryDirectory() as before:
+        files = subprocess.check_output(["git", "archive", commit, "fishrl"])
+        subprocess.run(["tar", "x", "-C", before], input=files, check=True)
+        table = f"{heading}\n\n{compare(Path(before))}"
     begin, end = "<!-- before: begin -->", "<!-- before: end -->"
     first, _, rest = page.read_text(encoding="utf-8").partition(begin)
     last = rest.partition(end)[2]
@@ -151,4 +155,4 @@ if __name__ == "__main__":
         time_flow(sys.argv[1:])
     else:
         sys.path.insert(0, str(ROOT))
-        write_page(*map(Path, sys.argv[1:]))
+        write_page(sys.argv[1], Path(sys.argv[2]))
