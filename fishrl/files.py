@@ -32,6 +32,12 @@ def write_whole(path: Path, text: str) -> None:
         stage.write_text(text, encoding="utf-8")
 
 
+def find_cache(name: str) -> Path | None:
+    """Return ``~/.cache/fishrl/<name>``, or that in ``XDG_CACHE_HOME``; None for a relative one."""
+    caches = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(caches, "fishrl", name) if os.path.isabs(caches) else None
+
+
 def check_folder(path: str | os.PathLike[str]) -> Path:
     """Return the path of a file to write; raise OSError if it cannot be written."""
     target = Path(path)

@@ -7,7 +7,6 @@ upwards.
 """
 
 import logging
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from torch import Tensor
 from tqdm import trange
 
-from fishrl.files import load_tensors, staged
+from fishrl.files import find_cache, load_tensors, staged
 from fishrl.locks import take_lock
 from fishrl.memory import check_memory
 from fishrl.physics.bodies.motion import Fixed
@@ -86,10 +85,10 @@ def find_file(recipe: WakeRecipe, folder: str | Path) -> Path:
     folder, which is another one in each working directory, unless the file is there already.
     """
     given = Path(folder).expanduser() / f"wakes-{recipe.key}.pt"
-    caches = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    if given.is_absolute() or given.is_file() or not os.path.isabs(caches):
+    cache = find_cache("wakes")
+    if given.is_absolute() or given.is_file() or cache is None:
         return given
-    return Path(caches, "fishrl", "wakes", given.name)
+    return cache / given.name
 
 
 def load_wakes(recipe: WakeRecipe, folder: str | Path) -> WakeBank:

@@ -89,7 +89,7 @@ class Execution:
         if self.num_workers:
             self.workers = self._start_workers()
         else:
-            self._compile_here()
+            self._compile_here(is_new)
         self._is_ready = True
         logger.info("flow step ready after %.1f s", time.perf_counter() - began)
 
@@ -113,12 +113,12 @@ class Execution:
         self._shared.close()
         return workers
 
-    def _compile_here(self) -> None:
+    def _compile_here(self, is_new: bool) -> None:
         """Compile all parts, those of a single flow in two processes if they are new."""
-        with self._limit_threads():
-            is_shared = self._is_alone and count_cores() > 1 and self.batch.is_new()
-            with compiling_aside(self._configs) if is_shared else nullcontext():
-                self.batch.compile(with_check=True)
+        is_shared = is_new and self._is_alone and count_cores() > 1
+        aside = compiling_aside(self._configs) if is_shared else nullcontext()
+        with self._limit_threads(), aside:
+            self.batch.compile(with_check=True)
 
     def _limit_threads(self) -> AbstractContextManager[None]:
         """Return a context in which flows that need one worker run here as they would there."""

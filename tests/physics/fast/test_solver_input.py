@@ -64,7 +64,7 @@ def test_compilation_and_idle_fish_are_logged_once(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     solver = InPlaceSolver(config=TANK, num_envs=1, num_workers=0)
-    monkeypatch.setattr(Execution, "_compile_here", lambda _: None)
+    monkeypatch.setattr(Execution, "_compile_here", lambda *_: None)
     monkeypatch.setattr(FlowBatch, "is_new", lambda _: True)
     monkeypatch.setattr(FlowBatch, "advance_", lambda *_: None)
     with caplog.at_level(logging.WARNING):
