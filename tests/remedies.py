@@ -224,7 +224,7 @@ def check_starts(**changes: Any) -> None:
 TASK, DISC = food(), behind()
 STARTS = TASK.sample_starts(2, torch.Generator().manual_seed(0))
 FOOD, NONE = TASK.locate_food(STARTS, torch.zeros(2)), torch.zeros(2, dtype=torch.float64)
-FROZEN, STEERED, PID = "station-v0", [of.mirrored_actions for of in (Steady, Turn)], PIDSteering()
+FROZEN, STEERED, PID = "station-v1", [of.mirrored_actions for of in (Steady, Turn)], PIDSteering()
 ENVS: list[tuple[Any, ...]] = [
     (food, "food_limits_bl", (3.5, 1.5), (1.5, 3.5)),
     (food, "food_speed_bl", (0.5, 0.2), (0.2, 0.5)),

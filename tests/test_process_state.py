@@ -170,8 +170,8 @@ def analyse(folder: Path) -> None:
     score_classifier(network, parts[2])
     row = make_row("mine", 35.0, 5.0)
     write_json(folder / "row.json", row.model_dump())
-    assert compare(make_task("quick"), TASK) and identify(make_task("station-v0"))
-    assert show_table([read_row(folder / "row.json")]) and rank(list_rows("station-v0", "test"))
+    assert compare(make_task("quick"), TASK) and identify(make_task("station-v1"))
+    assert show_table([read_row(folder / "row.json")]) and rank(list_rows("station-v1", "test"))
     assert find_version(list_versions()[0])
 
 

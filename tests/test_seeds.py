@@ -103,7 +103,7 @@ OWN: dict[str, Callable[[], dict[str, Any]]] = {
     "make_keep_place": lambda: {"task": Follower()},
     **{
         f"make_{name}": lambda: {"task": GAIT}
-        for name in ("bang_bang", "passive", "pid", "shedding")
+        for name in ("bang_bang", "passive", "pid", "shedding", "tuned_pid")
     },
     "prepare": lambda: {"policy": "random"},
     "record_piece": lambda: {"env": make(LINED), "number": 0},

@@ -1,8 +1,8 @@
 """Versions of tasks: settings, held-out starts and measure, frozen by checksums.
 
-A version ``station-v0`` is a task of ``fishrl.presets`` and an entry of ``versions.json``. The
+A version ``station-v1`` is a task of ``fishrl.presets`` and an entry of ``versions.json``. The
 starts of its splits follow from ``draws.json``, uniform random numbers made by a hash of the
-split's name, which no seed of a training or an evaluation gives. Versions 0 are drafts.
+split's name, which no seed of a training or an evaluation gives.
 """
 
 import hashlib
@@ -37,7 +37,7 @@ FREE = (
 class Version:
     """A frozen task."""
 
-    name: str  #: such as ``station-v0``
+    name: str  #: such as ``station-v1``
     measure: str  #: metric that counts, see ``Episodes.metrics``
     controller: str  #: baseline whose score is 1; random actions have 0
     held_out: Mapping[str, Any]  #: settings that differ in validation and test

@@ -1,4 +1,4 @@
-"""Score a policy on a frozen task: ``fishrl score policy=runs/<name> task=station-v0``.
+"""Score a policy on a frozen task: ``fishrl score policy=runs/<name> task=station-v1``.
 
 ``policy`` is a run folder, a checkpoint, ``zoo/<name>``, a baseline of the task, an archive of
 Stable-Baselines3, ``fish.zip``, or a function of a module on PYTHONPATH, ``module:function``. It
@@ -131,7 +131,7 @@ def score(
 
     Args:
         policy: see ``fishrl score --help``.
-        task: a frozen task, ``station-v0``; none of its settings may be changed but
+        task: a frozen task, ``station-v1``; none of its settings may be changed but
             ``num_stacked``, which a function may need.
         split: ``test``, or ``validation`` for choosing among policies.
         name: name of the policy in the table; by default ``policy``.

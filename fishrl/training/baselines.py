@@ -189,6 +189,25 @@ def make_pid(task: KarmanGait, seed: int = 0, *, station_bl: float | Tensor = 2.
     return make_gait_policy(PID(station_bl=station_bl, frequency=frequency, damping=damping), task)
 
 
+@baseline(
+    "tuned_pid", KarmanGait, fits=lambda task: task.control.largest_bend > 0.0, is_default=False
+)
+def make_tuned_pid(task: KarmanGait, seed: int = 0) -> GaitPolicy:
+    """Make ``pid`` for a fish that bends, with numbers that were searched in ``station-v1``.
+
+    See ``studies/tuned_controller``.
+    """
+    policy = make_gait_policy(PID(station_bl=1.21, gain=2.25, damping=14.4), task)
+    policy.course = KeepCourse(
+        gain=8.79,
+        damping=0.0667,
+        bend_gain=11.6,
+        yaw_damping=0.0116,
+        interval_T=task.interval_T,
+    )
+    return policy
+
+
 def _list_rows(task: KarmanGait) -> tuple[tuple[float, ...], ...]:
     """Return the frequencies by gear of each flow, the same ones if there is one row for all."""
     rows, num = task.control.rows, len(task.stream.speeds_bl)

@@ -4,6 +4,7 @@
     python studies/blind_by_reward/sweep.py score --arm line-sees-unit --seed 0
     python studies/blind_by_reward/sweep.py table                                  # of what is scored
     python studies/blind_by_reward/sweep.py vary --arm line-sees-unit-no-history --seed 0
+    python studies/blind_by_reward/sweep.py row --arm sight-unit --seed 0    # of the benchmark
 """
 
 import argparse
@@ -16,7 +17,10 @@ from typing import Any
 
 import torch
 
+from fishrl.benchmark.versions import FOLDER
 from fishrl.envs import Flows, KarmanGait, make_env, run_episodes
+from fishrl.envs import make_task as make_version
+from fishrl.programs.score import score as score_frozen
 from fishrl.training import Callback, LearningSettings, Plan, RunSettings, Training, complete
 from fishrl.training import load_plan, load_policy, open_run
 from fishrl.training.checkpoint import save_checkpoint
@@ -53,6 +57,12 @@ SETS = {"validation": (1, 16, 321), "test": (0, 48, 321), "test-100-T": (0, 48, 
 
 #: Arms whose policies are in the zoo.
 ZOO = {"line-sees-unit-no-history": "gait_bend_blind_line", "own-sees-unit": "gait_bend_blind"}
+#: Arms whose task is a frozen one.
+VERSIONS = {
+    "line-sees-unit-no-history": "station-line-v1",
+    "own-sees-unit": "station-blind-v1",
+    "sight-unit": "station-v1",
+}
 #: Conditions of the plan in which the best blind arm is tried, by settings of the stream or sense.
 STREAMS: dict[str, Any] = {f"stream {u} L/T": {"speeds_bl": (u,)} for u in (0.4, 0.45, 0.55, 0.6)}
 STREAMS |= {f"disc {d} L": {"diameter_bl": d} for d in (0.3, 0.5)}
@@ -178,14 +188,30 @@ def vary(arm: str, seed: int) -> None:
     (SCORES / f"varied-{arm}-{seed}.json").write_text(json.dumps(results, indent=1))
 
 
-def keep(arm: str, seed: int) -> None:
-    """Write the policy whose weights are stored as one of the zoo, with its scores on the test."""
-    (rule,) = torch.load(SCORES / f"{arm}-{seed}.pt", weights_only=True)
-    scores = json.loads((SCORES / f"{arm}-{seed}.json").read_text())[f"{rule}/test"]
+def make_run(arm: str, seed: int) -> Path:
+    """Return a run folder of the policy whose weights are stored."""
     plan, run = make_plan(arm, seed), RUNS / "kept" / f"{arm}-{seed}"
     spec, actor = PolicySpec.for_task(plan.task, hidden=plan.hidden), {"actor": load_actor(arm, seed)}
     save_checkpoint(run, actor, spec=spec, frames=FRAMES, config=plan.to_config())
     shutil.copy(SCORES / f"{arm}-{seed}.csv", run / "metrics.csv")
+    return run
+
+
+def add_row(arm: str, seed: int) -> None:
+    """Score the stored policy on the frozen task of its arm, and store the row."""
+    name = VERSIONS[arm]
+    row = score_frozen(
+        str(make_run(arm, seed)), task=make_version(name), name=f"discrete_sac, seed {seed}"
+    )
+    write_json(FOLDER / "scores" / name / f"discrete_sac-{seed}.json", row.model_dump())
+    print(row.policy, row.value, row.low, row.high, row.differs)
+
+
+def keep(arm: str, seed: int) -> None:
+    """Write the policy whose weights are stored as one of the zoo, with its scores on the test."""
+    (rule,) = torch.load(SCORES / f"{arm}-{seed}.pt", weights_only=True)
+    scores = json.loads((SCORES / f"{arm}-{seed}.json").read_text())[f"{rule}/test"]
+    run = make_run(arm, seed)
     result = {
         "success_rate": scores["lasts"],
         "mean_return": sum(scores["terms"].values()),
@@ -221,11 +247,12 @@ def table() -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("what", choices=("train", "score", "vary", "keep", "table"))
+    parser.add_argument("what", choices=("train", "score", "vary", "keep", "row", "table"))
     parser.add_argument("--arm", choices=ARMS, default="line-sees-unit")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     if options.what == "table":
         table()
     else:
-        {"train": train, "score": score, "vary": vary, "keep": keep}[options.what](options.arm, options.seed)
+        do = {"train": train, "score": score, "vary": vary, "keep": keep, "row": add_row}
+        do[options.what](options.arm, options.seed)

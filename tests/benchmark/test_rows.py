@@ -10,12 +10,12 @@ from fishrl.benchmark import Row, find_version, list_versions, rank, read_row, s
 from fishrl.benchmark.versions import FOLDER
 from fishrl.training.run_folder import write_json
 
-VERSION = find_version("station-v0")
+VERSION = find_version("station-v1")
 
 
 def make_row(policy: str, value: float, half: float, **changes: Any) -> Row:
     given: dict[str, Any] = {
-        "policy": policy, "kind": "baseline", "task": "station-v0", "split": "test",
+        "policy": policy, "kind": "baseline", "task": "station-v1", "split": "test",
         "settings": VERSION.settings, "starts": VERSION.starts["test"],
         "measure": VERSION.measure, "value": value, "low": value - half, "high": value + half,
         "metrics": {}, "num_stacked": 4, "recognition": None, "differs": None,
@@ -51,7 +51,7 @@ def test_row_of_other_settings_is_refused(tmp_path: Path) -> None:
     write_json(path, row.model_dump())
     assert read_row(path) == row
     for changes, said in (
-        ({"starts": "0"}, "not of station-v0 as it is frozen"),
+        ({"starts": "0"}, "not of station-v1 as it is frozen"),
         ({"task": "station-v"}, "did you mean"),
         ({"value": "high"}, "not a result of fishrl score"),
     ):

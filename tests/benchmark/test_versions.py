@@ -53,16 +53,16 @@ def test_held_out_draws_come_from_a_hash_that_no_seed_gives() -> None:
 
 
 def test_streams_of_the_test_are_not_those_of_training() -> None:
-    version = find_version("streets-v0")
+    version = find_version("streets-v1")
     task, starts = version.hold_out("test")
     assert not {*starts["flow_index"].tolist()} & {*version.task.start_flows}
     assert task.stream == version.task.stream
 
 
 def test_task_is_known_by_its_settings_but_for_what_a_policy_may_choose() -> None:
-    task = make_task("station-v0", num_stacked=16, stream={"wake_folder": "elsewhere"})
-    assert identify(task).name == "station-v0"
-    with pytest.raises(ValueError, match=r"differs from station-v0 in safe_area\.aside_bl: leave"):
-        identify(make_task("station-v0", safe_area={"aside_bl": 1.3}))
-    with pytest.raises(ValueError, match="did you mean 'station-v0'"):
+    task = make_task("station-v1", num_stacked=16, stream={"wake_folder": "elsewhere"})
+    assert identify(task).name == "station-v1"
+    with pytest.raises(ValueError, match=r"differs from station-v1 in safe_area\.aside_bl: leave"):
+        identify(make_task("station-v1", safe_area={"aside_bl": 1.3}))
+    with pytest.raises(ValueError, match="did you mean 'station-v1'"):
         find_version("station-v")

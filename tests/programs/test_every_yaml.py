@@ -39,7 +39,7 @@ MORE = {
     "sac": ["task=predation_continuous"],
     # continuous actions
     "follower": ["algorithm=sac"],
-    "follower-v0": ["algorithm=sac"],
+    "follower-v1": ["algorithm=sac"],
     "karman_gait_continuous": ["algorithm=sac"],
     "predation_continuous": ["algorithm=sac"],
 }

@@ -87,7 +87,7 @@ def test_table_has_a_line_per_moment_and_columns_of_each_neuromast(tmp_path: Pat
     import xarray as xr
 
     path = tmp_path / "signals.csv"
-    words = ["policy=pid", "task=station-line-quick-v0", "periods=1", "frames_per_T=4"]
+    words = ["policy=pid", "task=station-line-quick-v1", "periods=1", "frames_per_T=4"]
     export.main.run(export.main.read([*words, "flows.compile=false", f"save={path}"]))
     with path.open(encoding="utf-8") as file:
         lines = [{k: float(v) for k, v in line.items()} for line in csv.DictReader(file)]

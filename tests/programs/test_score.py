@@ -44,7 +44,7 @@ def test_function_is_scored_from_the_command_line(
 
 
 def test_run_is_scored_with_its_memory_and_what_differs_is_stored() -> None:
-    task = make_task("station-line-quick-v0")
+    task = make_task("station-line-quick-v1")
     row = score("zoo/gait_bend_line", task=task, split="validation", **EAGER)
     assert row.kind == "run" and row.num_stacked == 16 and row.trained_decisions
     assert "safe_area.aside_bl" in row.differs and "num_stacked" not in row.differs
@@ -75,7 +75,7 @@ def test_archive_needs_trust_and_acts_as_its_model(tmp_path: Path) -> None:
         same = score("model_of_test:act", task=task, split="validation", **EAGER)
     assert same.metrics == row.metrics
     env.close()
-    other = make_task("station-quick-v0")
+    other = make_task("station-quick-v1")
     with pytest.raises(ValueError, match=r"observes 8 numbers; .* a multiple of 10"):
         score(path, task=other, trust=True, **EAGER)
 

@@ -121,5 +121,5 @@ def test_missing_module_names_pythonpath(outside: Path, monkeypatch: pytest.Monk
 
 
 def test_unknown_task_names_the_folder_setting_after_the_nearest_name() -> None:
-    with pytest.raises(ValueError, match=r"did you mean 'station-v0'\? --config-dir <folder>"):
+    with pytest.raises(ValueError, match=r"did you mean 'station-v1'\? --config-dir <folder>"):
         train.main.read(["task=hold_station"])
