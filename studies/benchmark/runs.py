@@ -1,7 +1,7 @@
 """Train and score the rows of the benchmark's table, see ``plan.md``.
 
     python studies/benchmark/runs.py station-v1 discrete_sac 0    # continues a run
-    python studies/benchmark/runs.py table                        # of what is scored
+    python studies/benchmark/runs.py table                        # into docs/benchmark.md
 """
 
 import argparse
@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 
 import torch
 
-from fishrl.benchmark import find_version, list_rows, list_versions, rank
+from fishrl.benchmark import Row, find_version, list_rows, list_versions
+from fishrl.benchmark.rows import find_ends
 from fishrl.envs import Flows, make_env, make_task
 from fishrl.programs.score import score
 from fishrl.training import Plan, Training, complete, open_run
@@ -25,6 +26,9 @@ from fishrl.training.run_folder import write_json
 
 FOLDER = Path("runs/benchmark")
 SCORES = Path(__file__).parents[2] / "fishrl/benchmark/scores"
+PAGE = Path(__file__).parents[2] / "docs/benchmark.md"
+#: Of Student's t, by number of seeds.
+QUANTILE = {2: 12.71, 3: 4.30, 4: 3.18, 5: 2.78}
 CURVES = Path(__file__).parent / "curves"
 SAC_LIKE: dict[str, Any] = {
     "warmup_frames": 1280,
@@ -136,25 +140,56 @@ def run(name: str, algorithm: str, seed: int) -> None:
     print(row.policy, row.value, row.low, row.high)
 
 
+class Method(NamedTuple):
+    """Rows of one method in a task, one per seed."""
+
+    name: str
+    rows: list[Row]
+
+    @property
+    def values(self) -> torch.Tensor:
+        """Values ``[n]`` of the measure."""
+        return torch.tensor([row.value for row in self.rows])
+
+
+def list_methods(task: str) -> list[Method]:
+    """Return the methods of a task, the best mean first."""
+    by_name: dict[str, list[Row]] = {}
+    for row in list_rows(task, "test"):
+        by_name.setdefault(row.policy.partition(", seed ")[0], []).append(row)
+    return sorted((Method(*own) for own in by_name.items()), key=lambda m: -m.values.mean())
+
+
+def describe(method: Method, ends: tuple[float, float] | None) -> str:
+    """Return a cell of the page's table."""
+    values, num = method.values.sort().values, len(method.rows)
+    mean, (low, high) = float(values.mean()), (method.rows[0].low, method.rows[0].high)
+    if num > 1:
+        width = QUANTILE[num] * float(values.std()) / sqrt(num)
+        low, high = mean - width, mean + width
+    shown = f"{mean:.3g} [{low:.3g}, {high:.3g}]"
+    if not method.rows[0].trained_decisions:
+        return shown
+    middle = float(values[num // 4 : num - num // 4].mean())
+    score = "" if ends is None else f", score {(mean - ends[0]) / (ends[1] - ends[0]):.2f}"
+    return f"`{method.name}` ({num}) {shown}, middle {middle:.3g}{score}"
+
+
 def table() -> None:
-    """Print mean, 95 % interval over seeds and interquartile mean of each method's scores."""
-    quantile = {2: 12.71, 3: 4.30, 4: 3.18, 5: 2.78}  # of Student's t
-    for name in (each for each in list_versions() if "quick" not in each):
-        by_method: dict[str, list[tuple[float, float | None]]] = {}
-        for row, scaled in rank(list_rows(name, "test")):
-            method = row.policy.partition(", seed ")[0]
-            by_method.setdefault(method, []).append((row.value, scaled and scaled[0]))
-        for method, pairs in by_method.items():
-            values = torch.tensor([value for value, _ in pairs])
-            num = len(values)
-            width = quantile[num] * float(values.std()) / sqrt(num) if num in quantile else 0.0
-            middle = values.sort().values[num // 4 : num - num // 4].mean()
-            scores = [score for _, score in pairs if score is not None]
-            shown = f"{sum(scores) / len(scores):.2f}" if scores else "–"
-            print(
-                f"{name:20s} {find_version(name).measure:14s} {method:14s} {num} "
-                f"{values.mean():.3g} ± {width:.2g}, middle {middle:.3g}, score {shown}"
-            )
+    """Write the table of all methods into the page."""
+    lines = ["| task | random | controller | trained |", "|---|---|---|---|"]
+    for task in (each for each in list_versions() if "quick" not in each):
+        ends, methods = find_ends(list_rows(task, "test")), list_methods(task)
+        wanted = ("random", find_version(task).controller)
+        cells = [describe(m, ends) for name in wanted for m in methods if m.name == name]
+        trained = [describe(m, ends) for m in methods if m.rows[0].trained_decisions]
+        if trained or find_version(task).references is None:
+            lines.append(f"| {' | '.join([f'`{task}`', *cells, '; '.join(trained) or '–'])} |")
+    begin, end = "<!-- results: begin -->\n", "<!-- results: end -->"
+    before, _, rest = PAGE.read_text().partition(begin)
+    _, _, after = rest.partition(end)
+    PAGE.write_text("".join((before, begin, *(f"{line}\n" for line in lines), end, after)))
+    print("\n".join(lines))
 
 
 if __name__ == "__main__":

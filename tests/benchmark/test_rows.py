@@ -27,21 +27,21 @@ def make_row(policy: str, value: float, half: float, **changes: Any) -> Row:
 
 def test_score_is_0_for_random_actions_and_1_for_the_controller() -> None:
     mine = make_row("mine", 35.0, 5.0, kind="run")
-    rows = [make_row("random", 5.0, 1.0), mine, make_row("pid", 25.0, 2.0)]
+    rows = [make_row("random", 5.0, 1.0), mine, make_row("tuned_pid", 25.0, 2.0)]
     scores = {row.policy: score for row, score in rank(rows)}
-    assert list(scores) == ["mine", "pid", "random"]
+    assert list(scores) == ["mine", "tuned_pid", "random"]
     assert scores["random"] == pytest.approx((0.0, -0.05, 0.05))
-    assert scores["pid"] == pytest.approx((1.0, 0.9, 1.1))
+    assert scores["tuned_pid"] == pytest.approx((1.0, 0.9, 1.1))
     assert scores["mine"] == pytest.approx((1.5, 1.25, 1.75))
     head, first, *_ = show_table(rows, mark=mine)
     assert "score" in head and first.startswith("> mine") and "1.5 [1.25, 1.75]" in first
 
 
 def test_no_score_where_the_controller_is_not_well_above_random_actions() -> None:
-    rows = [make_row("random", 5.0, 4.0), make_row("pid", 10.0, 2.0)]
+    rows = [make_row("random", 5.0, 4.0), make_row("tuned_pid", 10.0, 2.0)]
     assert [score for _, score in rank(rows)] == [None, None]
     assert [score for _, score in rank(rows[:1])] == [None]
-    named_so = [make_row("random", 5.0, 1.0), make_row("pid", 25.0, 2.0, kind="function")]
+    named_so = [make_row("random", 5.0, 1.0), make_row("tuned_pid", 25.0, 2.0, kind="function")]
     assert rank(named_so)[0][1] is None
 
 
