@@ -28,13 +28,10 @@ SUMMARY = ("case", "quantity", "ours", "accepted", "verdict")
 INTRODUCTION = """\
 How closely the flow solver and the swimming fish agree with exact solutions, other codes and
 experiments: every acceptance criterion with its result, and the reason for each miss. A case's link
-leads to its set-up, figure and all quantities on the site, and to the same numbers as JSON in the
-repository."""
+leads to its set-up, figure and all quantities on the site, to the numbers in the repository."""
 EXPLANATION = """\
-*Accepted* is a range, or a reference with its tolerance. A miss gives its deviation from the
-reference or the nearer end of the range, relative to it unless marked ±; the other deviations are
-on the cases' pages. *Recorded* quantities have no criterion and are there, too, but for one that
-stands for its case here."""
+*Accepted* is a range, or a reference with its tolerance. A miss gives its deviation from that,
+relative unless marked ±. *Recorded* quantities have no criterion; one here stands for its case."""
 
 
 def write_report(outcomes: Sequence[Outcome], *, folder: Path, command: str, commit: str) -> None:
@@ -130,7 +127,9 @@ def _render_misses(results: Sequence[Result]) -> str:
         missed = [row for row in stored["checks"] if row["verdict"] == MISSED]
         short = [row | {"note": FIRST_SENTENCE.split(row["note"])[0]} for row in missed]
         reasons = _group_by_note(short)
-        lines += [f"- {_link(case)}, {names}: {note}" for (_, note), names in reasons.items()]
+        if reasons:
+            told = [f"{names}: {note}" for (_, note), names in reasons.items()]
+            lines.append(f"- {_link(case)}, {' '.join(told)}")
     return "\n".join(lines)
 
 

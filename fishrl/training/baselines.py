@@ -33,6 +33,11 @@ from fishrl.settings import suggest
 MakePolicy = Callable[[Any, int], TensorDictModuleBase]
 M = TypeVar("M", bound=MakePolicy)
 
+#: Numbers of ``tuned_pid``, to three digits (``studies/tuned_controller``): ``station_bl``,
+#: ``gain`` and ``damping`` of ``PID``; ``gain``, ``damping``, ``bend_gain`` and ``yaw_damping`` of
+#: ``KeepCourse``.
+TUNED = (1.21, 2.25, 14.4, 8.79, 0.0667, 11.6, 0.0116)
+
 
 class Baseline(NamedTuple):
     """A registered baseline, see ``baseline``."""
@@ -192,17 +197,23 @@ def make_pid(task: KarmanGait, seed: int = 0, *, station_bl: float | Tensor = 2.
 @baseline(
     "tuned_pid", KarmanGait, fits=lambda task: task.control.largest_bend > 0.0, is_default=False
 )
-def make_tuned_pid(task: KarmanGait, seed: int = 0) -> GaitPolicy:
+def make_tuned_pid(
+    task: KarmanGait, seed: int = 0, *, numbers: Sequence[Any] = TUNED
+) -> GaitPolicy:
     """Make ``pid`` for a fish that bends, with numbers that were searched in ``station-v1``.
 
-    See ``studies/tuned_controller``.
+    Args:
+        task: the task.
+        seed: not used.
+        numbers: in the order and units of ``TUNED``, floats or ``[B]``.
     """
-    policy = make_gait_policy(PID(station_bl=1.21, gain=2.25, damping=14.4), task)
+    station, gain, damping, course, course_damping, bend, yaw_damping = numbers
+    policy = make_gait_policy(PID(station_bl=station, gain=gain, damping=damping), task)
     policy.course = KeepCourse(
-        gain=8.79,
-        damping=0.0667,
-        bend_gain=11.6,
-        yaw_damping=0.0116,
+        gain=course,
+        damping=course_damping,
+        bend_gain=bend,
+        yaw_damping=yaw_damping,
         interval_T=task.interval_T,
     )
     return policy

@@ -14,12 +14,11 @@ from torch import Tensor
 
 from fishrl.benchmark import find_version
 from fishrl.envs import Flows, KarmanGait, make_env, make_task, run_episodes
-from fishrl.modules import PID, GaitPolicy, KeepCourse
-from fishrl.training.baselines import make_gait_policy, make_pid
+from fishrl.training.baselines import make_pid, make_tuned_pid
 from fishrl.training.evaluation import TRAIN_SEED
 
 CANDIDATES, STARTS, GENERATIONS = 16, 6, 20
-#: Numbers of ``pid``; all but the first are searched by their logarithm.
+#: Numbers of ``pid``, in the order of ``TUNED``; all but the first are searched by their logarithm.
 UNTUNED = {
     "station_bl": 2.1,
     "gain": 2.0,
@@ -38,20 +37,6 @@ def decode(numbers: Tensor) -> Tensor:
     return torch.cat((untuned[:1] + 0.5 * numbers.T[:1], factors[1:]))
 
 
-def make_policy(task: KarmanGait, values: Tensor) -> GaitPolicy:
-    """Return one controller per flow, from their values ``[7, B]``."""
-    station, gain, damping, course, course_damping, bend, yaw_damping = values
-    policy = make_gait_policy(PID(station_bl=station, gain=gain, damping=damping), task)
-    policy.course = KeepCourse(
-        gain=course,
-        damping=course_damping,
-        bend_gain=bend,
-        yaw_damping=yaw_damping,
-        interval_T=task.interval_T,
-    )
-    return policy
-
-
 def search() -> Tensor:
     """Return the numbers ``[7]``."""
     task = make_task("station-v1")
@@ -64,7 +49,7 @@ def search() -> Tensor:
             numbers = torch.tensor(np.array([found.ask() for _ in range(CANDIDATES)])).float()
             starts = task.sample_starts(STARTS, generator)
             every = starts[torch.arange(STARTS).repeat(CANDIDATES)]
-            policy = make_policy(task, decode(numbers).repeat_interleave(STARTS, 1))
+            policy = make_tuned_pid(task, numbers=decode(numbers).repeat_interleave(STARTS, 1))
             episodes = run_episodes(env, policy, every)
             lengths = (episodes.lengths * episodes.interval_T).view(CANDIDATES, STARTS).mean(1)
             pairs = zip(numbers.double().numpy(), lengths.tolist(), strict=True)
@@ -83,7 +68,7 @@ def main() -> None:
     assert isinstance(task, KarmanGait)
     with closing(make_env(task=task, flows=Flows(num_envs=len(starts)), seed=0)) as env:
         for name, policy in (
-            ("tuned", make_policy(task, values.expand(-1, len(starts)))),
+            ("tuned", make_tuned_pid(task, numbers=values.expand(-1, len(starts)))),
             ("pid", make_pid(task)),
         ):
             episodes = run_episodes(env, policy, starts)

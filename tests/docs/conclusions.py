@@ -188,6 +188,11 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
             and overlap(CHANGING, "memory 0.7 (default)", "true label: PID controller")
             and abs(find_row(SEVERAL, "`predation_pair`", "learned, 1 seed")[1] - 80) < 5
         ),
+        "Policies are better at staying in gait; "
+        "in the C-start a search beats the published": lambda: (
+            "(in gait 60–95 % of the time) | 100 % (in gait 37–42 %)" in read(RESULTS)
+            and gain("192", DISTANCE) > 0.0
+        ),
         "**Modules are rarely necessary.** The paper's fish fails without lateral line": lambda: (
             max(map(float, read_data("reproduction", "small")[1]["paper"].split(", "))) < 40.0
             and count_lasting("station", "ablation")[0] < 0.15 * 306

@@ -131,7 +131,7 @@ def test_pair_is_viewed_but_not_exported(tmp_path: Path) -> None:
     _run("view", *chosen, f"save={tmp_path / 'flow.rrd'}", "periods=1")
     assert (tmp_path / "flow.rrd").is_file()
     with pytest.raises(AssertionError):  # the program says why, and fails
-        _run("export-data", *chosen, "name=pair-v1", f"folder={tmp_path}", "episodes=1")
+        _run("export-data", *chosen, "name=pair-v0", f"folder={tmp_path}", "episodes=1")
 
 
 @pytest.mark.usefixtures("kinematic")
