@@ -123,14 +123,7 @@ def _write_card(
         "recognition of the flow": labels,
         "exported with fishrl": " ".join(filter(None, (__version__, revision))),
     }
-    names = ["policy", *summary.get("baselines", [])]
-    prefixes = ["", *(f"{name}_" for name in names[1:])]
-    results = [
-        (label, [_show(summary.get(prefix + key)) for prefix in prefixes])
-        for key, label in _RESULTS.items()
-    ]
     bullets = "\n".join(f"- {name}: {value}" for name, value in about.items())
-    table = write_table(["", *names], [[label, *values] for label, values in results])
     # a setting a line: none ends the block of code
     settings = yaml.safe_dump(plan.to_config(), sort_keys=False, allow_unicode=True, width=math.inf)
     return f"""---
@@ -141,7 +134,7 @@ def _write_card(
 
 Final evaluation from fixed starts that were not used to choose it:
 
-{table}
+{write_results(summary)}
 `metrics.csv` holds the learning curve. Settings:
 
 ```yaml
@@ -150,6 +143,17 @@ Final evaluation from fixed starts that were not used to choose it:
 `fishrl.training.load_policy(<this folder>)` loads the policy; `fishrl score policy=<this folder>
 task=<frozen task>` scores it on held-out starts.
 """
+
+
+def write_results(summary: Mapping[str, Any]) -> str:
+    """Return the table of a card: results of a policy, and of the baselines of its run."""
+    names = ["policy", *(summary.get("baselines") or [])]
+    prefixes = ["", *(f"{name}_" for name in names[1:])]
+    rows = [
+        [label, *(_show(summary.get(prefix + key)) for prefix in prefixes)]
+        for key, label in _RESULTS.items()
+    ]
+    return write_table(["", *names], rows)
 
 
 def _show(value: Any) -> str:
