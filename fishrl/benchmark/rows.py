@@ -24,6 +24,7 @@ class Row(Stored):
     high: float
     metrics: dict[str, float | int | None]  #: all numbers of the evaluation
     num_stacked: Count
+    num_envs: Count | None = None  #: flows that advanced together; random actions depend on it
     recognition: str | None  #: class of the source of flow labels
     differs: list[str] | None  #: settings of its training that differ; None where unknown
     trained_decisions: Count | None  #: None where unknown
@@ -31,6 +32,11 @@ class Row(Stored):
     cpu_seconds: float  #: of the scoring
     commit: str | None
     versions: dict[str, str]
+
+    def describe_help(self) -> str:
+        """Return what sets the policy apart: labels of the flow, other settings of its training."""
+        other = f"other {', '.join(self.differs)}" if self.differs else ""
+        return ", ".join(filter(None, (self.recognition, other)))
 
 
 def read_row(path: Path) -> Row:
@@ -49,9 +55,18 @@ def read_row(path: Path) -> Row:
 
 def list_rows(task: str, split: str) -> list[Row]:
     """Return the stored rows of a split, those of random actions and controller, too."""
-    folders = [FOLDER / "scores" / name for name in (task, find_version(task).references) if name]
-    rows = [read_row(path) for folder in folders for path in sorted(folder.glob("*.json"))]
-    return [r for r in rows if r.split == split and (r.task == task or r.kind == "baseline")]
+
+    def read(folder: str) -> list[Row]:
+        paths = sorted((FOLDER / "scores" / folder).glob("*.json"))
+        return [row for row in map(read_row, paths) if row.split == split]
+
+    rows, references = read(task), find_version(task).references
+    own = {row.policy for row in rows}
+    return rows + [
+        row
+        for row in (read(references) if references else [])
+        if row.kind == "baseline" and row.policy not in own
+    ]
 
 
 def find_ends(rows: Sequence[Row]) -> tuple[float, float] | None:
@@ -86,14 +101,17 @@ def rank(rows: Sequence[Row]) -> list[tuple[Row, tuple[float, float, float] | No
 
 def show_table(rows: Sequence[Row], *, mark: Row | None = None) -> list[str]:
     """Return the lines of the table; ``mark`` is pointed at."""
-    lines = [f"  {'policy':<28}{'value [95 %]':<26}{'score [95 %]':<24}decisions"]
+    cells = [("  policy", "value [95 %]", "score [95 %]", "decisions", "trained with")]
     for row, score in rank(rows):
         value = _show(row.value, row.low, row.high)
         trained = "–" if row.trained_decisions is None else f"{row.trained_decisions:,}"
-        start = "> " if row is mark else "  "
-        line = f"{row.policy:<28}{value:<26}{_show(*score) if score else '–':<24}{trained}"
-        lines.append(start + line)
-    return lines
+        name = f"{'> ' if row is mark else '  '}{row.policy}"
+        cells.append((name, value, _show(*score) if score else "–", trained, row.describe_help()))
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in cells
+    ]
 
 
 def _show(value: float, low: float, high: float) -> str:

@@ -23,8 +23,12 @@ def read_revision() -> str | None:
     def ask(*words: str) -> str:
         return subprocess.run([*git, *words], check=False, capture_output=True, text=True).stdout
 
-    is_changed = ask("status", "--porcelain", ".", ":!benchmark/scores")
-    return None if is_changed else ask("rev-parse", "HEAD").strip() or None
+    try:
+        is_ours = ask("ls-files", "__init__.py")  # not installed into somebody's checkout
+        is_changed = ask("status", "--porcelain", ".", ":!benchmark/scores")
+        return ask("rev-parse", "HEAD").strip() if is_ours and not is_changed else None
+    except FileNotFoundError:  # git
+        return None
 
 
 def send(folder: Path, repository: str) -> str:

@@ -3,8 +3,9 @@
 ``policy`` is a run folder, a checkpoint, ``zoo/<name>``, a baseline of the task, an archive of
 Stable-Baselines3, ``fish.zip``, or a function of a module on PYTHONPATH, ``module:function``. It
 gets a TensorDict with ``observation_stack`` ``[B, n]``, ``is_init`` ``[B, 1]`` and, for discrete
-actions, ``action_mask`` ``[B, num_actions]``, and adds ``action`` ``[B]``, or ``[B, num_actions]``
-in [-1, 1]. The policy acts from each held-out start once; its row is shown in the task's table.
+actions, ``action_mask`` ``[B, num_actions]``, and returns it with ``action`` ``[B]``, or
+``[B, num_actions]`` in [-1, 1]. The policy acts from each held-out start once; its row is shown in
+the task's table.
 """
 
 import os
@@ -39,6 +40,7 @@ from fishrl.files import claim_file
 from fishrl.programs.export_policy import read_revision
 from fishrl.programs.program import program
 from fishrl.programs.statistics import Interval, find_mean, find_share
+from fishrl.training.baselines import find_baselines
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.policies import is_learned, load_plan, prepare
@@ -83,6 +85,15 @@ def find_policy(policy: str, version: Version, *, trust: bool) -> Scored:
                 f"{policy}: observes {archive.num_inputs} numbers; in {version.name} a multiple of "
                 f"{task.n_obs}"
             )
+        own, wanted = (
+            f"{number} {'choices' if is_discrete else 'numbers'}"
+            for number, is_discrete in (
+                (archive.num_actions, archive.is_discrete),
+                (task.num_actions, task.action_bounds is None),
+            )
+        )
+        if own != wanted:
+            raise ValueError(f"{policy}: its action is one of {own}; {version.name} has {wanted}")
         return Scored("archive", _show_only(archive), num, archive.decisions)
     if FUNCTION.fullmatch(policy):
         module, _, name = policy.partition(":")
@@ -110,7 +121,10 @@ def _show_only(act: Policy) -> Policy:
     """Return a policy that reads the entries of ``SEEN`` alone."""
 
     def decide(state: TensorDictBase) -> TensorDictBase:
-        decided = act(state.select(*SEEN, strict=False))
+        own = state.select(*SEEN, strict=False).clone()  # so that it changes none of ours
+        decided = act(own)
+        if not isinstance(decided, TensorDictBase) or "action" not in decided:
+            raise ValueError(f"policy {act}: must return the TensorDict with its ``action``")
         return state.set("action", decided["action"])
 
     return decide
@@ -134,7 +148,7 @@ def score(
         task: a frozen task, ``station-v1``; none of its settings may be changed but
             ``num_stacked``, which a function may need.
         split: ``test``, or ``validation`` for choosing among policies.
-        name: name of the policy in the table; by default ``policy``.
+        name: name of the policy in the table; by default ``policy``. Baselines keep theirs.
         trust: whether to load an archive of Stable-Baselines3, which runs code from it.
         trained: decisions of the training, where the policy does not tell.
         flows: flows that advance together, and how they are computed.
@@ -145,6 +159,8 @@ def score(
     """
     version = identify(task)
     found = find_policy(policy, version, trust=trust)
+    if (name or policy) in find_baselines(task) and (name or policy) != found.act:
+        raise ValueError(f"name = {name}: is a baseline of {version.name}; give it another name")
     held_out, starts = version.hold_out(split, num_stacked=found.num_stacked or task.num_stacked)
     flows = replace(flows, num_envs=min(flows.num_envs, len(starts)))
     commit = read_revision()
@@ -167,6 +183,7 @@ def score(
         high=value.high,
         metrics={n: x if x == x else None for n, x in episodes.metrics().items()},
         num_stacked=held_out.num_stacked,
+        num_envs=flows.num_envs,
         recognition=found.recognition,
         differs=found.differs,
         trained_decisions=found.decisions if trained is None else trained,
@@ -200,13 +217,13 @@ def main(*, save: str | None = None, **given: Any) -> None:
         save: JSON file for the row.
         **given: arguments of ``score``.
     """
+    stored = list_rows(identify(given["task"]).name, given["split"])  # first: one may be damaged
     with claim_file(save) as path:
         with Progress() as progress:
             row = score(**given, callback=progress)
         if path is not None:
             write_json(path, row.model_dump())
-    others = [each for each in list_rows(row.task, row.split) if each.policy != row.policy]
-    rows = [*others, row]
+    rows = [*(each for each in stored if each.policy != row.policy), row]
     print(f"{row.task}, {row.split}: {row.measure}, {row.metrics['episodes']} starts")
     print("\n".join(show_table(rows, mark=row)))
     if rank(rows)[0][1] is None:

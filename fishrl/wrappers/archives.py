@@ -18,6 +18,8 @@ class Archive:
 
     policy: Any  #: of Stable-Baselines3, with ``predict``
     num_inputs: int  #: length of its observation
+    num_actions: int  #: choices of an action, or numbers of a continuous one
+    is_discrete: bool
     decisions: int  #: of its training
 
     def __call__(self, state: TensorDictBase) -> TensorDictBase:
@@ -53,4 +55,7 @@ def load_archive(path: Path) -> Archive:
     shape = data["observation_space"].shape
     if shape is None or len(shape) != 1:
         raise ValueError(f"{path}: observes {data['observation_space']}; must be a row of numbers")
-    return Archive(policy, int(shape[0]), int(data.get("num_timesteps", 0)))
+    space = data["action_space"]
+    num_actions = getattr(space, "n", None) or sum(space.shape)
+    trained = int(data.get("num_timesteps", 0))
+    return Archive(policy, int(shape[0]), int(num_actions), hasattr(space, "n"), trained)

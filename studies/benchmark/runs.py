@@ -1,12 +1,11 @@
 """Train and score the rows of the benchmark's table, see ``plan.md``.
 
-    python studies/benchmark/runs.py station-v1 discrete_sac 0    # continues a run
-    python studies/benchmark/runs.py table                        # into docs/benchmark.md
+    python studies/benchmark/runs.py station-v1 ppo 0    # continues a run
+    python studies/benchmark/runs.py table               # into docs/benchmark.md
 """
 
 import argparse
 import shutil
-from math import sqrt
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +15,7 @@ from fishrl.benchmark import Row, find_version, list_rows, list_versions
 from fishrl.benchmark.rows import find_ends
 from fishrl.envs import Flows, make_env, make_task
 from fishrl.programs.score import score
+from fishrl.programs.statistics import Interval, find_interquartile_mean, find_mean
 from fishrl.training import Plan, Training, complete, open_run
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.algorithms.dqn import DQN
@@ -27,8 +27,6 @@ from fishrl.training.run_folder import write_json
 FOLDER = Path("runs/benchmark")
 SCORES = Path(__file__).parents[2] / "fishrl/benchmark/scores"
 PAGE = Path(__file__).parents[2] / "docs/benchmark.md"
-#: Of Student's t, by number of seeds.
-QUANTILE = {2: 12.71, 3: 4.30, 4: 3.18, 5: 2.78}
 CURVES = Path(__file__).parent / "curves"
 SAC_LIKE: dict[str, Any] = {
     "warmup_frames": 1280,
@@ -147,44 +145,46 @@ class Method(NamedTuple):
     rows: list[Row]
 
     @property
-    def values(self) -> torch.Tensor:
-        """Values ``[n]`` of the measure."""
-        return torch.tensor([row.value for row in self.rows])
+    def values(self) -> list[float]:
+        """Of the measure."""
+        return [row.value for row in self.rows]
 
 
 def list_methods(task: str) -> list[Method]:
     """Return the methods of a task, the best mean first."""
-    by_name: dict[str, list[Row]] = {}
+    found: dict[tuple[str, int | None], list[Row]] = {}
     for row in list_rows(task, "test"):
-        by_name.setdefault(row.policy.partition(", seed ")[0], []).append(row)
-    return sorted((Method(*own) for own in by_name.items()), key=lambda m: -m.values.mean())
+        name = row.policy.partition(", seed ")[0]
+        found.setdefault((name, row.trained_decisions), []).append(row)
+    methods = [Method(name, rows) for (name, _), rows in found.items()]
+    return sorted(methods, key=lambda method: -find_mean(method.values).value)
 
 
 def describe(method: Method, ends: tuple[float, float] | None) -> str:
     """Return a cell of the page's table."""
-    values, num = method.values.sort().values, len(method.rows)
-    mean, (low, high) = float(values.mean()), (method.rows[0].low, method.rows[0].high)
-    if num > 1:
-        width = QUANTILE[num] * float(values.std()) / sqrt(num)
-        low, high = mean - width, mean + width
-    shown = f"{mean:.3g} [{low:.3g}, {high:.3g}]"
-    if not method.rows[0].trained_decisions:
-        return shown
-    middle = float(values[num // 4 : num - num // 4].mean())
-    score = "" if ends is None else f", score {(mean - ends[0]) / (ends[1] - ends[0]):.2f}"
-    return f"`{method.name}` ({num}) {shown}, middle {middle:.3g}{score}"
+    first, num = method.rows[0], len(method.rows)
+    one = Interval(value=first.value, low=first.low, high=first.high)
+    mean = find_mean(method.values) if num > 1 else one
+    if first.kind == "baseline":
+        return mean.show(".3g")
+    middle = f", middle {find_interquartile_mean(method.values).value:.3g}" if num > 3 else ""
+    score = "" if ends is None else f", score {(mean.value - ends[0]) / (ends[1] - ends[0]):.2f}"
+    helped = sorted({row.describe_help() for row in method.rows} - {""})
+    helps = f", trained with {'; '.join(helped)}" if helped else ""
+    return f"`{method.name}` ({num}) {mean.show('.3g')}{middle}{score}{helps}"
 
 
 def table() -> None:
     """Write the table of all methods into the page."""
-    lines = ["| task | random | controller | trained |", "|---|---|---|---|"]
+    lines = ["| task | random | controller | policies |", "|---|---|---|---|"]
     for task in (each for each in list_versions() if "quick" not in each):
-        ends, methods = find_ends(list_rows(task, "test")), list_methods(task)
-        wanted = ("random", find_version(task).controller)
-        cells = [describe(m, ends) for name in wanted for m in methods if m.name == name]
-        trained = [describe(m, ends) for m in methods if m.rows[0].trained_decisions]
-        if trained or find_version(task).references is None:
-            lines.append(f"| {' | '.join([f'`{task}`', *cells, '; '.join(trained) or '–'])} |")
+        rows, methods = list_rows(task, "test"), list_methods(task)
+        ends = find_ends(rows) if rows else None
+        known = {method.name: describe(method, ends) for method in methods}
+        cells = [known.get(name, "–") for name in ("random", find_version(task).controller)]
+        others = [describe(m, ends) for m in methods if m.rows[0].kind != "baseline"]
+        if others or find_version(task).references is None:
+            lines.append(f"| {' | '.join([f'`{task}`', *cells, '; '.join(others) or '–'])} |")
     begin, end = "<!-- results: begin -->\n", "<!-- results: end -->"
     before, _, rest = PAGE.read_text().partition(begin)
     _, _, after = rest.partition(end)
@@ -201,4 +201,7 @@ if __name__ == "__main__":
     if given.task == "table":
         table()
     else:
+        budget = BUDGETS[given.task]
+        if given.algorithm not in budget.algorithms or given.seed not in range(budget.num_seeds):
+            parser.error(f"the plan has {', '.join(budget.algorithms)}; seeds to {budget.num_seeds - 1}")
         run(given.task, given.algorithm, given.seed)

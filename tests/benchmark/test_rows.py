@@ -37,6 +37,14 @@ def test_score_is_0_for_random_actions_and_1_for_the_controller() -> None:
     assert "score" in head and first.startswith("> mine") and "1.5 [1.25, 1.75]" in first
 
 
+def test_table_says_what_sets_a_row_apart_in_columns_that_never_touch() -> None:
+    name = "of a name that is longer than any other in the table"
+    helped = make_row(name, 9.0, 1.0, recognition="Oracle", differs=["start_flows", "reynolds"])
+    head, *lines = show_table([make_row("mine", 8.0, 1.0, differs=[]), helped])
+    assert lines[0].endswith("  Oracle, other start_flows, reynolds") and name + "  9" in lines[0]
+    assert lines[0].index("Oracle") == head.index("trained with") and lines[1].endswith("–")
+
+
 def test_no_score_where_the_controller_is_not_well_above_random_actions() -> None:
     rows = [make_row("random", 5.0, 4.0), make_row("tuned_pid", 10.0, 2.0)]
     assert [score for _, score in rank(rows)] == [None, None]

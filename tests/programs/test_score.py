@@ -52,7 +52,7 @@ def test_run_is_scored_with_its_memory_and_what_differs_is_stored() -> None:
 
 
 def test_archive_needs_trust_and_acts_as_its_model(tmp_path: Path) -> None:
-    task, path = make_task(TASK, num_stacked=2), str(tmp_path / "fish.zip")
+    task, path = make_task(TASK, num_stacked=5), str(tmp_path / "fish.zip")
     env = FlowVecEnv(make_env(task=task, flows=Flows(num_envs=2, compile=False)))
     model = MaskablePPO("MlpPolicy", env, n_steps=2, batch_size=2, seed=0, device="cpu")
     model.learn(4)
@@ -60,7 +60,7 @@ def test_archive_needs_trust_and_acts_as_its_model(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"unpickles it, which runs any code .* trust=true"):
         score(path, task=task, **EAGER)
     row = score(path, task=task, split="validation", trust=True, **EAGER)
-    assert (row.kind, row.num_stacked, row.trained_decisions) == ("archive", 2, 4)
+    assert (row.kind, row.num_stacked, row.trained_decisions) == ("archive", 5, 4)
 
     def act(state: TensorDictBase) -> TensorDictBase:
         seen = state["observation_stack"].numpy().astype(np.float32)
@@ -75,9 +75,28 @@ def test_archive_needs_trust_and_acts_as_its_model(tmp_path: Path) -> None:
         same = score("model_of_test:act", task=task, split="validation", **EAGER)
     assert same.metrics == row.metrics
     env.close()
-    other = make_task("station-quick-v1")
-    with pytest.raises(ValueError, match=r"observes 8 numbers; .* a multiple of 10"):
-        score(path, task=other, trust=True, **EAGER)
+    for other, said in (
+        ("predation-bend-quick-v1", r"observes 20 numbers; .* a multiple of 9"),
+        ("station-quick-v1", "its action is one of 3 choices; station-quick-v1 has 9 choices"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            score(path, task=make_task(other), trust=True, **EAGER)
+
+
+def forget_to_return(state: TensorDictBase) -> None:
+    state["observation_stack"].zero_()
+    state["action"] = state["is_init"][:, 0].long()
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [(None, "must return the TensorDict"), ("random", "is a baseline of")]
+)
+def test_function_must_return_its_action_under_a_name_of_its_own(
+    name: str | None, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "mine", sys.modules[__name__])
+    with pytest.raises(ValueError, match=said):
+        score("mine:forget_to_return", task=make_task(TASK), name=name, **EAGER)
 
 
 @pytest.mark.parametrize(
