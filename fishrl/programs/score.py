@@ -101,10 +101,15 @@ def find_policy(policy: str, version: Version, *, trust: bool) -> Scored:
             found = getattr(import_module(module), name, None)
         except ImportError as error:
             raise ImportError(f"{policy}: {error} (is its folder on PYTHONPATH?)") from error
-        if not callable(found):
+        if not callable(found) or isinstance(found, type):
             raise ValueError(f"{policy}: module {module} has no function {name!r}")
         return Scored("function", _show_only(found))
     if not is_learned(policy):
+        if policy not in (known := find_baselines(task)):
+            raise ValueError(
+                f"policy = {policy}: no baseline of {version.name}, which has {', '.join(known)}; "
+                "a run is given with its folder, runs/<name>, an archive with its .zip"
+            )
         return Scored("baseline", policy, decisions=0)
     plan = load_plan(policy)
     return Scored(
@@ -226,11 +231,15 @@ def main(*, save: str | None = None, **given: Any) -> None:
     rows = [*(each for each in stored if each.policy != row.policy), row]
     print(f"{row.task}, {row.split}: {row.measure}, {row.metrics['episodes']} starts")
     print("\n".join(show_table(rows, mark=row)))
-    if rank(rows)[0][1] is None:
+    if row.split != "test":
+        print("no score: random actions and controller are scored on the test alone")
+    elif rank(rows)[0][1] is None:
         print(
             f"no score: it needs the rows of random and {find_version(row.task).controller} in "
             "fishrl/benchmark/scores, and intervals that do not overlap"
         )
-    print(f"{row.scored_decisions:,} decisions, {row.cpu_seconds:g} s of CPU")
+    if row.commit is None:
+        print("commit unknown: fishrl/ is no git checkout, or differs from its last commit")
+    print(f"{row.scored_decisions:,} decisions and {row.cpu_seconds:g} s of CPU for this scoring")
     if path is not None:
         print(f"written to {path}")

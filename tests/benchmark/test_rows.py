@@ -72,7 +72,8 @@ def test_stored_rows_are_of_the_frozen_tasks() -> None:
     for path in FOLDER.glob("scores/*/*.json"):
         row = read_row(path)
         assert row.task == path.parent.name in list_versions()
-        assert row.kind == "baseline" or row.trained_decisions is not None
+        assert row.split == "test" and row.low <= row.value <= row.high, path
+        assert row.trained_decisions is not None, f"{path}: score it with trained=<decisions>"
 
 
 def test_stored_rows_were_scored_at_commits_of_this_history() -> None:

@@ -40,7 +40,7 @@ def test_function_is_scored_from_the_command_line(
     assert row["metrics"]["episodes"] == 32 and 32 <= row["scored_decisions"] <= 320
     assert row["low"] <= row["value"] <= row["high"] and row["cpu_seconds"] > 0.0
     shown = capsys.readouterr().out
-    assert "> mine:go_straight" in shown and "no score: it needs the rows of random" in shown
+    assert "> mine:go_straight" in shown and "are scored on the test alone" in shown
 
 
 def test_run_is_scored_with_its_memory_and_what_differs_is_stored() -> None:
@@ -105,6 +105,8 @@ def test_function_must_return_its_action_under_a_name_of_its_own(
         (["policy=random", f"task={TASK}", "task.body_length=24"], "differs from predation-quick"),
         (["policy=random", f"task={TASK}", "split=train"], "there is no 'train'"),
         (["policy=json:dump_it", f"task={TASK}"], "module json has no function 'dump_it'"),
+        (["policy=json:JSONEncoder", f"task={TASK}"], "module json has no function"),
+        (["policy=fish", f"task={TASK}"], "no baseline of predation-quick-v1.* with its .zip"),
     ],
 )
 def test_what_cannot_be_scored_is_named(words: list[str], said: str) -> None:
