@@ -27,6 +27,7 @@ from fishrl.modules import (
 from fishrl.objectives import FitSettings, MaskedDiscreteSACLoss, MaskedDQNLoss, split_episodes
 from fishrl.programs import export, train, view
 from fishrl.programs.lateral_line.collection import CollectionSettings
+from fishrl.programs.score import check_name
 from fishrl.programs.sweeps.jobs import plan_jobs
 from fishrl.programs.sweeps.runs import read_runs
 from fishrl.settings import build
@@ -234,6 +235,8 @@ RUNS: list[tuple[Any, ...]] = [
     (claim_in, "taken", "free"),
     (hold, "x", "y"),
     (lambda size: begin(buffer_size=size).close(), 10**12, 1000),
+    (lambda name: check_name(name, "function", SHORT), "random", "mine"),
+    (lambda warmup_frames: begin(scale_inputs=True, warmup_frames=warmup_frames).close(), 0, 16),
     (lambda widths: make_mlp((4, widths)), 0, 8),
     (untrained, "features", (), ("u_x",)),
     (untrained, "num_samples", 0, 1),

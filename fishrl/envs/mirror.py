@@ -18,6 +18,33 @@ class Mirror(NamedTuple):
     #: mirror image of each discrete action, or the sign of each number of a continuous one
     action: tuple[int, ...]
 
+    def check(self, *, num_obs: int, num_actions: int, is_discrete: bool) -> "Mirror":
+        """Return itself, if it fits a task.
+
+        Raises:
+            ValueError: if numbers or actions have no mirror image, or one that is not mirrored back
+                into them.
+        """
+        if len(self.observation) != num_obs:
+            raise ValueError(
+                f"reflect: the mirror image of {len(self.observation)} of {num_obs} numbers is "
+                "known; list senses with Sense(mirror=...) instead of observe, or reflect=false"
+            )
+        action, numbers = self.action, range(num_actions)
+        fits = (
+            sorted(action) == [*numbers] and all(action[action[a]] == a for a in numbers)
+            if is_discrete
+            else len(action) == num_actions and {*action} <= {-1, 1}
+        )
+        if not fits:
+            wanted = (
+                f"the image of each of 0 to {num_actions - 1}, whose own image is the action"
+                if is_discrete
+                else f"{num_actions} signs, 1 or -1"
+            )
+            raise ValueError(f"reflect: mirrored_actions = {action}: must be {wanted}")
+        return self
+
 
 def join_mirrors(senses: Sequence[Sense]) -> tuple[int, ...]:
     """Return the mirror image of the numbers of senses one after the other.

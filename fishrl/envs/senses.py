@@ -56,7 +56,7 @@ OWN_SENSES = {
 }
 #: Features of a neuromast whose mirror image, at the neuromast opposite, has the other sign: across
 #: the fish, and along the outline, which runs backwards then. The absolute y has none.
-_REVERSED = ("u_y", "left", "shear")
+REVERSED = ("u_y", "left", "shear")
 #: Powers of the speed U of the stream that the lateral line's features are divided by, and units.
 _SCALES = {"t": (0, "T"), "x": (0, "L"), "y": (0, "L"), "shear": (1, "U/L")}
 _SCALES |= dict.fromkeys(("u_x", "u_y", "speed", "ahead", "left", "slip"), (1, "U"))
@@ -119,7 +119,7 @@ def _mirror_lateral_line(line: LateralLine) -> tuple[int, ...] | None:
     first = num % 2  # one at the nose, then pairs
     opposite = [*range(first), *(first + ((p - first) ^ 1) for p in range(first, num))]
     return tuple(
-        (-1 if name in _REVERSED else 1) * (1 + (part * num + p) * len(line.features) + f)
+        (-1 if name in REVERSED else 1) * (1 + (part * num + p) * len(line.features) + f)
         for part in (0, 1)
         for p in opposite
         for f, name in enumerate(line.features)

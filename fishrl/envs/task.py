@@ -26,7 +26,7 @@ from fishrl.envs.command import Command
 from fishrl.envs.extensions import HasHistory, find_extension
 from fishrl.envs.mirror import Mirror, join_mirrors
 from fishrl.envs.schedule import make_schedule
-from fishrl.envs.sense import Sense, count_numbers, read_senses
+from fishrl.envs.sense import Sense, choose_critic_senses, count_numbers, read_senses
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending
@@ -37,7 +37,7 @@ from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 from fishrl.physics.levels.patch import Patch
 from fishrl.physics.skins import BounceBack, Skin
 from fishrl.physics.units import DEFAULT_WALL_SPEED, Scales
-from fishrl.settings import Settings, suggest
+from fishrl.settings import Settings
 
 _Size = Annotated[float, Field(gt=0, le=1e6)]
 
@@ -91,13 +91,8 @@ class AbstractTask(Settings, ABC):
     critic_reads_stack: bool = True
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.critic_observes if name not in self.known_senses]
-        if unknown:
-            known = ", ".join(self.known_senses)
-            raise ValueError(
-                f"critic_observes = {self.critic_observes}: allowed are {known}"
-                f"{suggest(unknown[0], list(self.known_senses))}"
-            )
+        if not (self.critic_senses or self.critic_reads_stack):
+            raise ValueError("critic_reads_stack = False: critics need critic_observes then")
         least = self._least_margin  # raises for checks and samples that do not fit into an action
         self.flow_config()  # raises if the domain is too small for the fish
         if self.wall_margin < least:
@@ -130,7 +125,7 @@ class AbstractTask(Settings, ABC):
     @property
     def critic_senses(self) -> tuple[Sense, ...]:
         """What critics read in training and policies do not; by default ``critic_observes``."""
-        return tuple(self.known_senses[name] for name in self.critic_observes)
+        return choose_critic_senses(self.critic_observes, self.known_senses)
 
     @property
     def mirrored_actions(self) -> tuple[int, ...]:
@@ -147,8 +142,11 @@ class AbstractTask(Settings, ABC):
     @property
     def mirror(self) -> Mirror:
         """Its mirror image, with which ``reflect`` reflects transitions; errors as above."""
-        actions = self.mirrored_actions
-        return Mirror(join_mirrors(self.senses), join_mirrors(self.critic_senses), actions)
+        actions, is_discrete = self.mirrored_actions, self.action_bounds is None
+        mirror = Mirror(join_mirrors(self.senses), join_mirrors(self.critic_senses), actions)
+        return mirror.check(
+            num_obs=self.n_obs, num_actions=self.num_actions, is_discrete=is_discrete
+        )
 
     @property
     def n_obs(self) -> int:

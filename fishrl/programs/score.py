@@ -122,6 +122,12 @@ def find_policy(policy: str, version: Version, *, trust: bool) -> Scored:
     )
 
 
+def check_name(name: str, kind: str, task: AbstractTask) -> None:
+    """Raise ValueError if a policy that is no baseline has the name of one."""
+    if kind != "baseline" and name in find_baselines(task):
+        raise ValueError(f"name = {name}: must differ from those of baselines")
+
+
 def _show_only(act: Policy) -> Policy:
     """Return a policy that reads the entries of ``SEEN`` alone."""
 
@@ -164,8 +170,7 @@ def score(
     """
     version = identify(task)
     found = find_policy(policy, version, trust=trust)
-    if (name or policy) in find_baselines(task) and (name or policy) != found.act:
-        raise ValueError(f"name = {name}: is a baseline of {version.name}; give it another name")
+    check_name(name or policy, found.kind, task)
     held_out, starts = version.hold_out(split, num_stacked=found.num_stacked or task.num_stacked)
     flows = replace(flows, num_envs=min(flows.num_envs, len(starts)))
     commit = read_revision()

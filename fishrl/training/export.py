@@ -157,4 +157,4 @@ def write_results(summary: Mapping[str, Any]) -> str:
 
 
 def _show(value: Any) -> str:
-    return "–" if value is None else f"{value:.4g}"
+    return "–" if value is None or value != value else f"{value:.4g}"

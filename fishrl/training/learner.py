@@ -171,6 +171,10 @@ class OffPolicyLearner(Learner):
         networks.loss.make_value_estimator(gamma=settings.gamma)
         self._targets = SoftUpdate(networks.loss, tau=settings.tau)
         super().__init__(networks, settings)
+        if settings.scale_inputs and not settings.warmup_frames:
+            raise ValueError(
+                "warmup_frames = 0: scale_inputs measures the scale in the warm-up; raise it"
+            )
 
     def _remember(self, transitions: TensorDictBase) -> None:
         self._extend(transitions)
@@ -215,8 +219,7 @@ class OnPolicyLearner(Learner):
         self._decisions = []
         loss: Any = self.loss
         weights, targets = loss.critic_network_params, loss.target_critic_network_params
-        if self._unmeasured is not None:
-            self._measure(rollout)
+        self._measure(rollout)
         valued = self._read(rollout)
         with torch.no_grad():  # a diverged row bootstraps from its last state, as if truncated
             loss.value_estimator(valued, params=weights, target_params=targets)

@@ -1,5 +1,8 @@
 """An environment writes what only critics read, stacked by itself, and without it nothing."""
 
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
 import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
@@ -46,3 +49,23 @@ def test_own_task_gives_its_critics_what_it_likes_by_one_property() -> None:
 def test_without_senses_of_critics_there_is_no_such_entry() -> None:
     state = make_env(task=Predation(**SMALL), flows=FLOWS).reset()
     assert not any("critic" in str(key) for key in state.keys(True))
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"critic_observes": ("flow_label",)}, "allowed are heading, .*, lateral_line$"),
+        ({"critic_reads_stack": False}, "critics need critic_observes"),
+    ],
+)
+def test_what_critics_cannot_read_is_refused(settings: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        KarmanGait(**settings)
+
+
+def test_task_without_senses_is_told_to_give_those_of_critics() -> None:
+    class Own(Predation):
+        known_senses: ClassVar[Mapping[str, Sense]] = {}
+
+    with pytest.raises(ValueError, match="lists no senses; define its critic_senses"):
+        Own(critic_observes=("place",))

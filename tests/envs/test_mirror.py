@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from fishrl.envs import AbstractTask, Follower, KarmanGait, Predation, PredationPair
-from fishrl.envs.control import Bend, DirectFrequencies, MacroActions, Turn
+from fishrl.envs.control import Bend, ContinuousFrequency, DirectFrequencies, MacroActions, Turn
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.lateral_line import KNOWN, LateralLine
+from fishrl.envs.mirror import Mirror
 from fishrl.envs.steering import PIDSteering
 from fishrl.envs.streams import Stream
 from tests.envs.conftest import make_flows
@@ -120,3 +121,42 @@ def test_mirror_of_an_own_control_may_be_that_of_its_base() -> None:
             return super(Turn, self).mirrored_actions
 
     assert Steers().mirrored_actions == (2, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("images", "is_discrete", "said"),
+    [
+        ((1, 2, 0), True, "mirrored_actions = .* each of 0 to 2"),
+        ((0, 0, 0), True, "each of 0 to 2"),
+        ((1, 0), True, "each of 0 to 2"),
+        ((-1, 1), False, "3 signs"),
+        ((2, 1, 1), False, "3 signs"),
+    ],
+)
+def test_actions_without_a_mirror_image_are_refused(
+    images: tuple[int, ...], is_discrete: bool, said: str
+) -> None:
+    with pytest.raises(ValueError, match=said):
+        Mirror((1,), (), images).check(num_obs=1, num_actions=3, is_discrete=is_discrete)
+
+
+def test_task_that_observes_without_senses_has_no_mirror_image() -> None:
+    class Observing(Predation):
+        n_obs = 2
+        senses = ()
+
+    with pytest.raises(ValueError, match="of 0 of 2 numbers is known"):
+        _ = Observing(**MIRRORED).mirror
+
+
+def test_follower_may_steer_without_a_mirror_image() -> None:
+    class Steers(Bend):
+        @property
+        def mirrored_actions(self) -> tuple[int, ...]:
+            raise ValueError("none")
+
+    plain = Follower(**FOLLOWER)
+    own = Follower(**FOLLOWER | {"control": Steers(bend_bl=0.1, beat=ContinuousFrequency())})
+    assert own.n_obs == plain.n_obs
+    with pytest.raises(ValueError, match="none"):
+        _ = own.mirror

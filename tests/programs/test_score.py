@@ -89,7 +89,8 @@ def forget_to_return(state: TensorDictBase) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [(None, "must return the TensorDict"), ("random", "is a baseline of")]
+    ("name", "said"),
+    [(None, "must return the TensorDict"), ("random", "must differ from those of baselines")],
 )
 def test_function_must_return_its_action_under_a_name_of_its_own(
     name: str | None, said: str, monkeypatch: pytest.MonkeyPatch

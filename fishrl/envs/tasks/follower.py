@@ -1,6 +1,7 @@
 """Follower: swim behind a fish with as little work as possible."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from math import inf, pi
@@ -238,8 +239,9 @@ class Follower(AbstractControlTask, AbstractStreamTask, HasScene):
             return torch.stack((phase.sin(), phase.cos()), -1)
 
         wave = ("sine of the phase", "cosine of the phase")
-        signs = self.mirrored_actions
-        of_actions = tuple(sign * number for number, sign in enumerate(signs, 1))
+        of_actions = None
+        with suppress(ValueError):  # of a control that names none; then ``mirror`` raises it
+            of_actions = tuple(sign * n for n, sign in enumerate(self.mirrored_actions, 1))
         actions = tuple(f"{name} (in [-1, 1])" for name in self.action_names)
         return (
             Sense("place", ("x [L]", "y [L]"), lambda now: now["place"], (1, -2)),

@@ -10,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.lateral_line import KNOWN, PAPER, LateralLine
+from fishrl.envs.senses import REVERSED
 from fishrl.modules import LateralLineClassifier
 from fishrl.objectives import (
     Curves,
@@ -25,8 +26,6 @@ from fishrl.programs.lateral_line.collection import CollectionSettings
 NUM_INTERVALS = 8
 #: Shares of the episodes: to fit on, to stop by, to score on.
 SHARES = (0.6, 0.2, 0.2)
-#: Features that change their sign in a mirror along the stream.
-_ODD = ("u_y", "left", "shear")
 
 
 class LateralLineSettings(CollectionSettings, FitSettings):
@@ -99,7 +98,7 @@ def mirror(signal: Tensor, *, features: Sequence[str], middle_bl: float) -> Tens
         order[right], order[right + 1] = right + 1, right
     image = signal[:, :, order].clone()
     for number, name in enumerate(features):
-        if name in _ODD:
+        if name in REVERSED:
             image[..., number].neg_()
         elif name == "y":
             image[..., number] = 2.0 * middle_bl - image[..., number]

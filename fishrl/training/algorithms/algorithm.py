@@ -61,9 +61,11 @@ class Algorithm(Settings, ABC):
             )
         if task.critic_senses and not self.has_critic:
             names = [name for name, kind in find_algorithms().items() if kind.has_critic]
+            seen = task.critic_observes
             raise ValueError(
-                f"task.critic_observes = {task.critic_observes}: {type(self).__name__} has no "
-                f"critic apart from its policy; take one of {', '.join(names)}, or leave it empty"
+                f"{f'task.critic_observes = {seen}' if seen else 'critic_senses'}: "
+                f"{type(self).__name__} has no critic apart from its policy; take one of "
+                f"{', '.join(names)}, or leave it empty"
             )
 
     def adapt(self, settings: LearningSettings) -> dict[str, Any]:
