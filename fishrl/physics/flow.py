@@ -336,7 +336,8 @@ def make_params(configs: Sequence[FlowConfig], device: torch.device | str = "cpu
             raise ValueError(
                 f"flow {i} differs from flow 0 in more than tau, stream_speed, ramp_steps and the "
                 "size, gait and density of bodies: flows of one batch share everything else, the "
-                "number of markers of each body included (set num_markers)"
+                "number of markers of each body included (set num_markers), and with levels the "
+                "size of patches (set Patch(size=...))"
             )
     numbers = [[c.tau, c.stream_speed, float(c.ramp_steps)] for c in configs]
     tau, speed, ramp = torch.tensor(numbers, dtype=torch.float64, device=device).unbind(-1)

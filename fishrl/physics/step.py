@@ -93,14 +93,14 @@ def step(
     if params is None:
         params = make_params([config] * len(state.f), state.f.device)
     num_patches = len(plan_levels(config)) - 1
+    if len(state.patches) != num_patches or (num_patches and external_force is not None):
+        raise ValueError(
+            f"levels = {config.levels} with {len(state.patches)} patches in the state"
+            f"{'' if external_force is None else ' and an external_force'}: give the state of "
+            "levels.grids.make_patches, which has none with one level, and a force with one alone"
+        )
     if not num_patches:
         return _step_grid(state, config, params, external_force)
-    if external_force is not None or len(state.patches) != num_patches:
-        raise ValueError(
-            f"levels = {config.levels} with external_force = {external_force} and "
-            f"{len(state.patches)} patches in the state: give no force, and the state of "
-            "levels.grids.make_patches"
-        )
     grids = Grids(state, config, params)
     grids.shift()
     _step_level(grids, 0)

@@ -1,5 +1,6 @@
 """Scores between random actions and a controller; stored rows are of the frozen tasks."""
 
+import json
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -76,11 +77,16 @@ def test_stored_rows_are_of_the_frozen_tasks() -> None:
         assert row.trained_decisions is not None, f"{path}: score it with trained=<decisions>"
 
 
-def test_stored_rows_were_scored_at_commits_of_this_history() -> None:
+def test_stored_rows_were_scored_at_commits_that_had_this_version() -> None:
     git = ["git", "-C", str(FOLDER)]
     asked = [*git, "rev-parse", "--is-shallow-repository"]
     if subprocess.run(asked, capture_output=True, text=True).stdout.strip() != "false":
         pytest.skip("needs the whole history")
-    for commit in {read_row(path).commit for path in FOLDER.glob("scores/*/*.json")}:
-        asked = [*git, "merge-base", "--is-ancestor", str(commit), "HEAD"]
-        assert subprocess.run(asked, capture_output=True).returncode == 0, commit
+    frozen = json.loads((FOLDER / "versions.json").read_text())
+    for path in FOLDER.glob("scores/*/*.json"):
+        row = read_row(path)
+        asked = [*git, "merge-base", "--is-ancestor", str(row.commit), "HEAD"]
+        assert subprocess.run(asked, capture_output=True).returncode == 0, path
+        asked = [*git, "show", f"{row.commit}:./versions.json"]
+        then = json.loads(subprocess.run(asked, capture_output=True, text=True).stdout)
+        assert then.get(row.task) == frozen[row.task], path

@@ -1,5 +1,6 @@
 """Developed wakes: frequency, phases, keys and files."""
 
+import importlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from math import pi
@@ -102,6 +103,41 @@ def test_wake_is_made_once(bank: WakeBank, tmp_path: Path, monkeypatch: pytest.M
         banks = list(pool.map(lambda _: load_wakes(RECIPE, tmp_path), range(4)))
     assert made == ["wake"] and path.is_file()
     assert all(torch.equal(each.populations[0], bank.populations[0]) for each in banks)
+
+
+OWN = """
+from fishrl.physics.boundaries import NonEquilibrium
+GAIN = 1.0
+class Gusty(NonEquilibrium):
+    def compute_edge(self, *given):
+        return GAIN
+"""
+
+
+def test_wakes_of_own_classes_are_kept_by_their_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of a class of a function are not for other processes."""
+    (tmp_path / "own_inflow.py").write_text(OWN)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    own = importlib.import_module("own_inflow")
+
+    def find_key(edge: NonEquilibrium) -> str:
+        edges = replace(RECIPE.config.boundaries, left=edge)
+        return replace(RECIPE, config=replace(RECIPE.config, boundaries=edges)).key
+
+    keys = [find_key(own.Gusty(velocity=(1.0, 0.0)))]
+    own.GAIN = 2.0
+    keys.append(find_key(own.Gusty(velocity=(1.0, 0.0))))
+
+    class Local(NonEquilibrium):
+        pass
+
+    keys.append(find_key(Local(velocity=(1.0, 0.0))))
+    assert find_key(Local(velocity=(1.0, 0.0))) == keys[-1]
+    monkeypatch.setattr("fishrl.envs.wakes._PROCESS", "another")
+    keys.append(find_key(Local(velocity=(1.0, 0.0))))
+    assert len(set(keys)) == 4
 
 
 def test_cache_is_the_users_in_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

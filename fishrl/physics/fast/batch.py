@@ -291,10 +291,14 @@ class FlowBatch:
 
     def is_fine(self) -> Tensor:
         """Return ``[B]``: density and speed are within the method, and bodies in their patches."""
-        origins = [grid.origin for grid in self.grids]
-        fine = self._find_inside(origins, self.flow.bodies) & ~self._find_overlap(origins)
+        fine = self.are_held()
         with one_thread():  # several would wait for each other, on a busy machine for seconds
             return fine & torch.stack([grid.is_fine() for grid in self.grids]).all(0)
+
+    def are_held(self) -> Tensor:
+        """Return ``[B]``: patches hold their bodies, and do not overlap."""
+        origins = [grid.origin for grid in self.grids]
+        return self._find_inside(origins, self.flow.bodies) & ~self._find_overlap(origins)
 
     def is_lost(self) -> Tensor:
         """Return ``[B]``: the middle of a grid is not finite."""

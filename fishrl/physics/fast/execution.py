@@ -105,7 +105,8 @@ class Execution:
         )
         try:
             if self._wants_compile:
-                self.batch.compile_check()
+                with one_thread():  # as ``is_new`` has looked for it
+                    self.batch.compile_check()
             workers.wait()
         except BaseException:  # as by Ctrl-C: the next time begins from the start
             workers.close()

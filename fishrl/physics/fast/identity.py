@@ -1,5 +1,6 @@
 """What determines the code of a function: plain values, and the sources of foreign classes."""
 
+import re
 import sys
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
@@ -14,6 +15,8 @@ from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.physics.cache_key import make_key, read_code
 
 _OWN = "fishrl.physics"
+#: What classes may derive from besides; their versions are in the keys of compiled code.
+_LIBRARIES = {*sys.stdlib_module_names, "numpy", "pydantic", "torch", "typing_extensions"}
 
 
 def identify(thing: object) -> object:
@@ -21,10 +24,11 @@ def identify(thing: object) -> object:
 
     A thing consists of plain values, sequences, enums, dataclasses, classes, and functions of this
     package with what they close over. Of a body it is what those of a batch share. Classes of other
-    modules are known by the sources of these and of what they import, outside libraries.
+    modules are known by the sources of these and of what they import, outside other packages that
+    are installed, and by the plain values of these modules that the sources name.
 
     Raises:
-        LookupError: for anything else, and for classes without a source file.
+        LookupError: for anything else, and for classes of functions or without a source file.
     """
     if isinstance(thing, BodyConfig):
         return [identify(part) for part in thing.get_structure()]
@@ -37,6 +41,9 @@ def identify(thing: object) -> object:
         known = [thing.__defaults__, *(thing.__kwdefaults__ or {}).items(), *held]
         return [thing.__qualname__, *(identify(part) for part in known)]
     kind = thing if isinstance(thing, type) else type(thing)
+    for base in kind.__mro__:
+        if "<locals>" in base.__qualname__ and not _lies_in(base.__module__, "fishrl"):
+            raise LookupError(f"{base!r} may read variables of the function that made it")
     name = [kind.__qualname__, *(_hash_source(base.__module__) for base in kind.__mro__)]
     if isinstance(thing, type):
         return name
@@ -51,20 +58,38 @@ def _lies_in(module: str, package: str) -> bool:
     return f"{module}.".startswith(f"{package}.")
 
 
-@cache
 def _hash_source(name: str) -> str:
-    """Return a module's name, with a hash of its source and of what it imports if it is foreign."""
+    """Return a module's name, with a hash of what determines its classes if it is foreign."""
     sources = sorted((module, read_code(file)) for module, file in _list_foreign(name))
-    return f"{name} {make_key(*sources)}"
+    named = {word for _, code in sources for word in _list_names(code)}
+    values = [
+        (module, word, repr(value))
+        for module, _ in sources
+        for word, value in sorted(vars(sys.modules[module]).items())
+        if word in named and _is_plain(value)
+    ]
+    return f"{name} {make_key(*sources, values)}"
+
+
+@cache
+def _list_names(code: bytes) -> frozenset[str]:
+    """List the names and attributes in code as ``read_code`` returns it."""
+    return frozenset(re.findall(r"\b(?:id|attr)='(?!__)(\w+)'", code.decode()))
+
+
+def _is_plain(value: object) -> bool:
+    if isinstance(value, list | tuple):
+        return all(map(_is_plain, value))
+    return value is None or isinstance(value, bool | int | float | str | bytes)
 
 
 def _list_foreign(name: str) -> Iterator[tuple[str, Path]]:
     """List names and files of a module and of those it imports, without libraries and our own."""
-    names = [name]
+    names, package = [name], name.partition(".")[0]
     for each in names:
         module = sys.modules.get(each)
         file = Path(getattr(module, "__file__", None) or "")
-        if _lies_in(each, "fishrl") or _is_library(each, file):
+        if _lies_in(each, "fishrl") or _is_library(each, file, package):
             continue
         if module is None or each == "__main__" or not file.is_file():
             raise LookupError(f"module {each!r} has no source file")
@@ -75,7 +100,7 @@ def _list_foreign(name: str) -> Iterator[tuple[str, Path]]:
         names += [n for n in dict.fromkeys(imported) if n in sys.modules and n not in names]
 
 
-def _is_library(name: str, file: Path) -> bool:
-    """Return whether a module comes with Python or was installed, in a version that stays."""
-    is_installed = {"site-packages", "dist-packages"} & set(file.parts)
-    return name.partition(".")[0] in sys.stdlib_module_names or bool(is_installed)
+def _is_library(name: str, file: Path, package: str) -> bool:
+    """Return whether a module is a library's, or of another installed package than ``package``."""
+    top, installed = name.partition(".")[0], {"site-packages", "dist-packages"}
+    return top in _LIBRARIES or (top != package and bool(installed & set(file.parts)))

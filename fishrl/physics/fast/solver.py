@@ -120,9 +120,9 @@ class InPlaceSolver:
         each flow is its own group by default. On a GPU all flows are one group, which always
         advances, since the host would have to wait to see whether any row must.
 
-        On a CPU a warning is logged, once, for flows that are no longer finite, that a body has
-        left, or whose bodies overlap; not with ``rows``, whose caller, such as the environment,
-        handles each flow.
+        On a CPU a warning is logged, once, for flows that are no longer finite, whose bodies or
+        patches overlap, or a body of which has left grid or patch; not with ``rows``, whose caller,
+        such as the environment, handles each flow.
 
         Raises:
             ValueError: for an odd number of steps, for ``rows`` that are not ``[B]`` bool, for
@@ -146,7 +146,7 @@ class InPlaceSolver:
                 self._watch.look_(self._outlines())
             self._execution.advance_(num, groups)
         if rows is None and self.device.type == "cpu":
-            self._watch.report(self._outlines(), self._batch.is_lost())
+            self._watch.report(self._outlines(), self._batch.is_lost(), self._batch.are_held())
 
     def _outlines(self) -> list[Tensor]:
         return [self.markers(index) for index in range(len(self.bodies))]

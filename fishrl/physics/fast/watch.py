@@ -14,6 +14,10 @@ logger = logging.getLogger(__name__)
 #: Most steps between two looks at several bodies: the fastest moves by a few nodes in them, and
 #: a look costs as much as several steps.
 _LOOK_STEPS = 40
+_ADVICE = (
+    "place them with reset_, enlarge Patch(size=..., within=...), give bodies that meet one Patch, "
+    "or take fewer levels, whose patches move 2^(2 - levels) nodes per step at most"
+)
 
 
 class Watch:
@@ -58,21 +62,29 @@ class Watch:
         if rows.device.type == "cpu":
             self._was_lost &= ~rows
 
-    def report(self, outlines: Sequence[Tensor], is_lost: Tensor) -> None:
-        """Log flows that are lost since the last time; ``is_lost`` ``[B]`` are not finite."""
+    def report(self, outlines: Sequence[Tensor], is_lost: Tensor, are_held: Tensor) -> None:
+        """Log flows that are lost since the last time.
+
+        Args:
+            outlines: of the bodies, ``[B, N, 2]`` each.
+            is_lost: ``[B]`` are not finite.
+            are_held: ``[B]``: patches hold their bodies, and do not overlap.
+        """
         self.look_(outlines)
         has_left = torch.zeros_like(is_lost)
         for outline in outlines:
             is_known = outline.isfinite().flatten(1).all(-1)  # not a free body's in a lost flow
             has_left |= is_known & ~lies_inside(outline, self._config)
-        was_lost, self._was_lost = self._was_lost, is_lost | has_left | self.overlaps
+        was_lost, self._was_lost = self._was_lost, is_lost | has_left | self.overlaps | ~are_held
         new = self._was_lost & ~was_lost
         meet = new & self.overlaps & ~has_left
+        outrun = new & ~(is_lost | has_left | self.overlaps)
         advice = "lower stream_speed, raise tau, or keep free bodies from edges and each other"
         for flows, problem in (
             (new & has_left, f"lose a body at an edge: {describe_inside(self._config)}"),
             (meet, "have bodies that overlap: end an episode before they touch"),
-            (new & ~has_left & ~meet, f"have diverged: {advice}"),
+            (outrun, f"have bodies outside their patches, or patches that overlap: {_ADVICE}"),
+            (new & ~has_left & ~meet & ~outrun, f"have diverged: {advice}"),
         ):
             if flows.any():
                 logger.warning("flows %s %s", flows.nonzero()[:, 0].tolist(), problem)

@@ -140,7 +140,8 @@ def find_point(level: Level, bodies: Sequence[BodyState], like: Tensor) -> Tenso
     """Return the point ``[B, 2]`` that a patch keeps in its middle, in finest nodes."""
     if level.centre is None:
         return find_middle(bodies[level.leader], level.ahead)
-    return like.new_tensor(level.centre, dtype=torch.float64).expand(len(like), 2)
+    numbers = (like.new_full((len(like),), at, dtype=torch.float64) for at in level.centre)
+    return torch.stack(list(numbers), -1)  # without a copy from the host
 
 
 def find_middle(body: BodyState, ahead: float) -> Tensor:

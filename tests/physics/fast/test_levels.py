@@ -10,6 +10,7 @@ from fishrl.physics import (
     BounceBack,
     Boundaries,
     Cylinder,
+    Driven,
     Fish,
     FlowConfig,
     Free,
@@ -239,3 +240,33 @@ def test_compiled_levels_equal_eager_ones_also_when_loaded(bodies: tuple[Fish, .
     for name, value in compiled.state_dict().items():
         torch.testing.assert_close(value, expected[name], rtol=1e-4, atol=2e-6, msg=name)
         assert torch.equal(value, same[name]), name
+
+
+BOXED = Patch(within=((60.0, 0.0), (160.0, 96.0)))
+
+
+@pytest.mark.parametrize(
+    ("velocities", "places", "patches"),
+    [
+        ((-0.2,), (100.0,), (BOXED,)),
+        ((0.1, -0.1), (50.0, 110.0), ()),
+        ((0.0,), (), (Patch(size=(40, 40), centre=(40.0, 48.0)),)),
+    ],
+    ids=["out of its box", "patches that meet", "never placed"],
+)
+def test_patch_that_loses_its_body_is_the_reason_given(
+    velocities: tuple[float, ...],
+    places: tuple[float, ...],
+    patches: tuple[Patch, ...],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    bodies = tuple(Cylinder(diameter=10, motion=Driven(velocity=(v, 0.0))) for v in velocities)
+    config = make_config(tau=0.6, bodies=bodies, patches=patches)
+    solver = InPlaceSolver(config=config, num_envs=1, compile=False, num_workers=0)
+    if places:
+        middle = [[[x, 0.5 * (config.height - 1)] for x in places]]
+        solver.reset_(torch.tensor([True]), torch.tensor(middle, dtype=torch.float64))
+    for _ in range(4):
+        solver.advance_(64)
+    (record,) = caplog.records
+    assert record.message.startswith("flows [0] have bodies outside their patches, or patches")

@@ -23,9 +23,9 @@ from fishrl.physics.boundaries import Boundaries
 from fishrl.physics.cache_key import make_key
 from fishrl.physics.collision import Rates
 from fishrl.physics.fast import compiled as compiled_module
-from fishrl.physics.fast import identity
 from fishrl.physics.fast import inductor as inductor_module
 from fishrl.physics.fast.compiled import compile_inplace, is_stored
+from fishrl.physics.fast.identity import identify
 from fishrl.physics.fast.part import Part
 from fishrl.physics.lattice import Q
 from fishrl.physics.skins import ImmersedBoundary, IterativeForcing
@@ -286,14 +286,48 @@ def test_own_class_is_known_by_its_sources(tmp_path: Path, monkeypatch: pytest.M
         for name in ("own_edge", "own_numbers"):
             monkeypatch.delitem(sys.modules, name, raising=False)
         importlib.invalidate_caches()
-        identity._hash_source.cache_clear()
         edge = importlib.import_module("own_edge").Magnetic(pull=pull)
         parts = list_parts(make_tank(boundaries=Boundaries(top=edge)))
         assert all(part.key for part, _ in parts)
         keys.append([part.key for part, _ in parts])
     assert keys[0] == keys[1] and len(set(map(tuple, keys))) == 4
     (tmp_path / "own_numbers.py").unlink()
-    identity._hash_source.cache_clear()
     parts = list_parts(make_tank(boundaries=Boundaries(top=edge)))
     assert [part.name for part, _ in parts if part.key is None] == ["edges ['TOP']"]
-    identity._hash_source.cache_clear()
+
+
+OWN_GAIN = """
+from fishrl.physics.boundaries import NoSlip
+GAIN, _SEEN = 1.0, []
+class Magnetic(NoSlip):
+    def pull(self):
+        return GAIN
+def make():
+    class Local(Magnetic):
+        pass
+    return Local
+"""
+
+
+@pytest.mark.parametrize("folder", ["", "site-packages"])
+def test_own_class_is_known_by_the_numbers_that_it_reads(
+    folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where it is installed; none of a function, which may hold others."""
+    (tmp_path / folder).mkdir(exist_ok=True)
+    monkeypatch.syspath_prepend(str(tmp_path / folder))
+    (tmp_path / folder / "own_gain.py").write_text(OWN_GAIN)
+    monkeypatch.delitem(sys.modules, "own_gain", raising=False)
+    own, keys = importlib.import_module("own_gain"), []
+    for gain, source in (
+        (1.0, OWN_GAIN),
+        (1.0, OWN_GAIN),
+        (2.0, OWN_GAIN),
+        (2.0, OWN_GAIN + "X = 1"),
+    ):
+        own.GAIN = gain
+        (tmp_path / folder / "own_gain.py").write_text(source)
+        keys.append(str(identify(own.Magnetic())))
+    assert keys[0] == keys[1] and len(set(keys)) == 3
+    with pytest.raises(LookupError, match="variables of the function"):
+        identify(own.make()())
