@@ -167,9 +167,7 @@ def fit(settings: LateralLineSettings, episodes: TensorDict) -> Fit:
     task: Any = settings.task
     flows: Sequence[dict[str, Any]] = task.flow_labels
     if settings.is_mirrored:
-        flow, signal = flows[0], training["lateral_line"]
-        num_nodes = round(flow["domain_bl"][1] * flow["body_length"])
-        middle_bl = 0.5 * (num_nodes - 1) / flow["body_length"]
+        signal, middle_bl = training["lateral_line"], task.origin[1] / task.body_length
         image = mirror(signal, features=settings.line.features, middle_bl=middle_bl)
         training = torch.cat((training, training.copy().set("lateral_line", image)))
     classifier = LateralLineClassifier(
