@@ -128,8 +128,8 @@ def _render_misses(results: Sequence[Result]) -> str:
         short = [row | {"note": FIRST_SENTENCE.split(row["note"])[0]} for row in missed]
         reasons = _group_by_note(short)
         if reasons:
-            told = [f"{names}: {note}" for (_, note), names in reasons.items()]
-            lines.append(f"- {_link(case)}, {' '.join(told)}")
+            shown = [f"{names}: {note}" for (_, note), names in reasons.items()]
+            lines.append(f"- {_link(case)}, {' '.join(shown)}")
     return "\n".join(lines)
 
 

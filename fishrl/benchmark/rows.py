@@ -24,7 +24,7 @@ class Row(Stored):
     high: float
     metrics: dict[str, float | int | None]  #: all numbers of the evaluation
     num_stacked: Count
-    num_envs: Count | None = None  #: flows that advanced together; random actions depend on it
+    num_envs: Count  #: flows that advanced together; random actions depend on it
     recognition: str | None  #: class of the source of flow labels
     differs: list[str] | None  #: settings of its training that differ; None where unknown
     trained_decisions: Count | None  #: None where unknown

@@ -31,7 +31,7 @@ from fishrl.settings import Settings
 
 logger = logging.getLogger(__name__)
 
-_PROCESS = uuid4().hex
+_PROCESS = uuid4().hex  # in keys of what other processes may not take
 _SAMPLES_PER_TRAVEL = 16  # of the lift; a shedding period is about five travels
 
 

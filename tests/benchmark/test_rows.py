@@ -19,7 +19,7 @@ def make_row(policy: str, value: float, half: float, **changes: Any) -> Row:
         "policy": policy, "kind": "baseline", "task": "station-v1", "split": "test",
         "settings": VERSION.settings, "starts": VERSION.starts["test"],
         "measure": VERSION.measure, "value": value, "low": value - half, "high": value + half,
-        "metrics": {}, "num_stacked": 4, "recognition": None, "differs": None,
+        "metrics": {}, "num_stacked": 4, "num_envs": 16, "recognition": None, "differs": None,
         "trained_decisions": None, "scored_decisions": 10, "cpu_seconds": 1.0, "commit": None,
         "versions": {},
     }  # fmt: skip
