@@ -18,6 +18,10 @@ from fishrl.envs.repeating import Repeated
 
 Operations = Callable[..., Sequence[Tensor]]
 
+#: Calls before one is traced, which takes as long as tracing them saves. The first may create
+#: something.
+EAGER_CALLS = 50
+
 # Without autograd and profiler they do nothing.
 _IDLE = (
     torch.ops.aten.detach.default,
@@ -39,8 +43,8 @@ class Traced:
 
     On a GPU they are launched as one CUDA graph.
 
-    The second call in a row with entries of the same names and shapes is traced: the first may have
-    created something. Later calls with others go to ``function`` itself.
+    After ``EAGER_CALLS`` in a row with entries of the same names and shapes the next is traced.
+    Later calls with others go to ``function`` itself.
 
     Args:
         function: takes a batch, whose entries it may change in place, and returns tensors. Its
@@ -51,6 +55,7 @@ class Traced:
         self._function = function
         self._operations: Operations | None = None
         self._form: list[object] = []
+        self._num_calls = 0  # in a row, of this form
 
     def __call__(self, batch: TensorDictBase) -> Sequence[Tensor]:
         """Return the function's result."""
@@ -58,10 +63,13 @@ class Traced:
         form = [names, *(tensor.shape for tensor in tensors)]
         if form != self._form:
             if self._operations is None:
-                self._form = form
+                self._form, self._num_calls = form, 1
             return self._function(batch)
         if self._operations is not None:
             return self._operations(*tensors)
+        self._num_calls += 1
+        if self._num_calls <= EAGER_CALLS:
+            return self._function(batch)
         results: Sequence[Tensor] = ()
 
         def run(*given: Tensor) -> Sequence[Tensor]:

@@ -54,6 +54,7 @@ def test_flows_and_networks_may_change_devices(
 
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), SAC()], ids=["discrete", "continuous"])
 def test_a_gradient_step_is_one_graph(algorithm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fishrl.training.tracing.EAGER_CALLS", 1)
     replays, replay = [], torch.cuda.CUDAGraph.replay
     monkeypatch.setattr(
         torch.cuda.CUDAGraph, "replay", lambda graph: (replays.append(graph), replay(graph))

@@ -56,6 +56,12 @@ def toy_flows() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def traced_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trace the second gradient step."""
+    monkeypatch.setattr("fishrl.training.tracing.EAGER_CALLS", 1)
+
+
 class Toy:
     """Makes trainings whose run folders lie in one folder."""
 

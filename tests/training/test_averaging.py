@@ -30,6 +30,7 @@ def test_average_is_a_mean_at_first_and_exponential_later() -> None:
 ALGORITHMS = [DiscreteSAC(), SAC(), DQN(), DRQN(), PPO(rollout_length=8)]
 
 
+@pytest.mark.usefixtures("traced_at_once")
 @pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda a: type(a).__name__)
 def test_policy_is_the_mean_over_gradient_steps(toy: Toy, algorithm: Algorithm) -> None:
     learner = toy.collect(algorithm, actor_average=10_000)

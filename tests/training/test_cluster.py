@@ -62,41 +62,38 @@ SHARED: dict[str, Any] = {
 }
 
 
-@pytest.fixture(scope="module")
-def undisturbed(cluster: Any, tmp_path_factory: pytest.TempPathFactory) -> Training:
-    """Return a finished training that nothing has interrupted."""
-    training = Toy(tmp_path_factory.mktemp("whole")).begin(name="whole", **SHARED)
-    complete(training)
-    counters, buffer = training.counters, training.learner.buffer
-    assert counters.diverged > 0
-    assert len(buffer) == counters.frames - counters.diverged == 240 - counters.diverged
-    assert set(buffer[:]["action"].tolist()) == {0, 1}
-    return training
-
-
 @pytest.mark.cluster
 def test_run_continues_exactly_after_lost_machine(
-    toy: Toy, cluster: Any, undisturbed: Training, monkeypatch: pytest.MonkeyPatch
+    toy: Toy, cluster: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The decisions between checkpoint and loss are made twice."""
     send, batches = ClusterCollector._send_weights, itertools.count()
 
     def send_and_lose(self: ClusterCollector) -> None:
-        if next(batches) == 15:
+        if next(batches) == 19:
             cluster.remove_node(cluster.list_all_nodes()[-1], allow_graceful=False)
             cluster.wait_for_nodes()
         send(self)
 
     monkeypatch.setattr(ClusterCollector, "_send_weights", send_and_lose)
-    training = toy.begin(name="run", **SHARED)
+    training = toy.begin(name="run", log_frames=16, **SHARED)
     with pytest.raises(ValueError, match="the cluster has 1 CPUs, and each takes one"):
         complete(training)
-    assert next(batches) == 16
+    assert next(batches) == 20
     assert training.folder.failure.is_file()
+    before = toy.rows("run")
     cluster.add_node(num_cpus=1)
-    complete(toy.reopen("run"))
+    again = toy.reopen("run")
+    complete(again)
     assert not training.folder.failure.exists()
-    assert next(batches) == 16 + 1 + 20  # from the checkpoint at frame 80
-    assert toy.rows("run") == read_rows(undisturbed.folder.path)
+    assert next(batches) == 20 + 1 + 20  # from the checkpoint at frame 80
+    after = toy.rows("run")
+    assert [int(row["frames"]) for row in before[-5:]] == [96, 112, 120, 128, 144]
+    assert after[: len(before)] == before
+    counters, buffer = again.counters, again.learner.buffer
+    assert counters.diverged > 0
+    assert len(buffer) == counters.frames - counters.diverged == 240 - counters.diverged
+    assert set(buffer[:]["action"].tolist()) == {0, 1}
 
 
 def make_gliding_env(**arguments: Any) -> Any:

@@ -14,6 +14,7 @@ from fishrl.training.learner import Learner
 from fishrl.training.tracing import Traced
 from tests.training.conftest import Toy
 
+pytestmark = pytest.mark.usefixtures("traced_at_once")
 ALGORITHMS = [DiscreteSAC(norms_critics=True), DQN(is_double=True), SAC()]
 
 
