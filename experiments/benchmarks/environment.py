@@ -18,6 +18,7 @@ from fishrl.training import DiscreteSAC
 from fishrl.training.collector import ResumableCollector
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
+from fishrl.training.tracing import EAGER_CALLS
 
 FLOWS = Flows(num_envs=16)
 
@@ -103,6 +104,7 @@ def make_training(
 
     while len(learner.buffer) < learning.batch_size:
         collect()
+    learn(EAGER_CALLS + 1)  # until steps are traced
     name = f"gradient step, {learning.batch_size} transitions"
     what = f"frame of all flows, {num_updates} gradient steps"
     gradient = Benchmark(label="train/gradient", name=name, advance=learn)

@@ -76,9 +76,9 @@ def test_share_of_action_outside_flow_is_measured() -> None:
 
 
 def test_speed_and_memory_of_a_task_are_measured() -> None:
-    measured, facts = time_task("station-quick-v1", Flows(num_envs=1, compile=False), 1)
-    assert facts == {"flows": 1, "period": pytest.approx(8.0, rel=0.02)}  # decisions per T
-    assert measured["first"][0] > measured["seconds"][0] > 0.0
+    measured, facts = time_task("predation-quick-v1", Flows(num_envs=1, compile=False), 1)
+    assert facts == {"flows": 1, "period": 1.0}  # decisions per T
+    assert min(*measured["first"], *measured["seconds"]) > 0.0
     before = sum_memory(os.getpid())
     child = subprocess.Popen(
         [sys.executable, "-c", "held = b'x' * 200_000_000; print(flush=True); input()"],
