@@ -234,6 +234,8 @@ ENVS: list[tuple[Any, ...]] = [
     (gait, "critic_observes", ("plaice",), ("place",)),
     (lambda edges: Follower(leader_x_bl=edges), 1.0, 3.0),
     (on_levels, "checks_per_action", 200, 40),
+    (partial(gait, lateral_line=LateralLine(num_samples=20)), "checks_per_action", 1, 25),
+    (partial(food, checks_per_action=53), "wall_margin_bl", 0.081, 0.15),
     (lambda domain: on_levels(domain_bl=(10.0, domain)), 3.0, 5.0),
     (behind, "speeds_bl", (1.0, 1.0, 1.1), (1.0, 1.1, 1.2)),
     (lambda diameter: behind(diameter_bl=(0.4, 0.4, diameter)), 0.3, 0.5),

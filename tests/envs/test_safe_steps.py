@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 
 from fishrl.envs import AbstractTask, Predation
 from fishrl.envs.control import Bend, Turn
-from tests.envs.conftest import SMALL, make_flows, move_kinematically
+from tests.envs.conftest import SMALL, act, make_flows, move_kinematically, starts_at
 from tests.envs.test_karman_gait import make_task as make_gait_task
 from tests.envs.test_real_flow import TINY
 from tests.envs.test_real_wake import make_task as make_wake_task
@@ -53,6 +53,21 @@ def test_skipped_checks_change_no_episode(
     caught = [step["captured"].any() for step in every if "captured" in step]
     assert task is not HUNT or any(caught)  # at the food and at walls
     assert num_some < share * num_every
+
+
+class Passing(Predation):
+    """Also ends while the food is 2.1 to 2.2 L ahead."""
+
+    def is_terminated(self, now: TensorDictBase) -> torch.Tensor:
+        ahead = -now["target"][..., 0]
+        return super().is_terminated(now) | (ahead > 2.1) & (ahead < 2.2)
+
+
+def test_further_ends_of_a_subclass_are_not_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    move_kinematically(monkeypatch)
+    env = make_flows(Passing(**SMALL), 1, starts=starts_at((4.8, 2.5)))
+    env.reset()
+    assert act(env, 1)["terminated"].all()
 
 
 def find_largest_speed(
