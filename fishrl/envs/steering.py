@@ -23,6 +23,8 @@ from fishrl.envs.sensors import sense_target, wrap_angle
 from fishrl.files import load_tensors
 from fishrl.settings import Settings
 
+_PACKAGED = Path(__file__).with_name("steering.pt")
+
 
 class Steering(ABC):
     """A heading controller without state: the environment keeps its observations.
@@ -104,27 +106,38 @@ class PolicySteering(Settings, Steering):
     observations one T apart, as in training, and each turn is divided by their number.
 
     Args:
-        path: file for ``load_weights``; by default of a policy trained on ``Predation`` in still
-            water at L = 50, which comes with the package.
+        path: file for ``load_weights``; by default that of the package, of a policy trained on
+            ``Predation`` in still water at L = 50.
         turn_degrees: turn per T.
         ahead_bl: distance of the point upstream of the nose, body lengths.
         decisions_per_T: the control rate; it learned with one.
-
-    Attributes:
-        weights: hash of the file; in keys of kept results it stands for the path.
+        weights: SHA-256 of the file, which settings keep, and which stands for the path in keys of
+            kept results; another one is refused.
     """
 
-    path: str = field(default=str(Path(__file__).with_name("steering.pt")), repr=False)
+    path: str = field(default="", repr=False)
     turn_degrees: Annotated[float, Field(ge=0, le=180)] = 15.0
     ahead_bl: PositiveFloat = 2.0
     decisions_per_T: PositiveInt = 4
-    weights: str = field(default="", init=False)
+    weights: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if Path(self.path).parts[-3:] == _PACKAGED.parts[-3:]:  # of a run of an earlier version
+            object.__setattr__(self, "path", "")
         _ = self.layers  # raises if the file holds something else
-        content = Path(self.path).expanduser().read_bytes()
-        object.__setattr__(self, "weights", hashlib.sha256(content).hexdigest())
+        found = hashlib.sha256(self.file.read_bytes()).hexdigest()
+        if self.weights not in ("", found):
+            raise ValueError(
+                f"weights = {self.weights}: {self.file} has others, {found}; give the path of the "
+                "former file, or leave weights out"
+            )
+        object.__setattr__(self, "weights", found)
+
+    @property
+    def file(self) -> Path:
+        """Path of the file."""
+        return Path(self.path).expanduser() if self.path else _PACKAGED
 
     @property
     def num_stacked(self) -> int:  # type: ignore[override]
@@ -134,7 +147,7 @@ class PolicySteering(Settings, Steering):
     @cached_property
     def layers(self) -> list[tuple[Tensor, Tensor]]:
         """Weight and bias of each layer."""
-        return load_weights(self.path)
+        return load_weights(self.file)
 
     def observe(self, nose: Tensor, middle: Tensor, heading: Tensor) -> Tensor:
         """Return the point as food is observed, see ``sensors.sense_target``."""

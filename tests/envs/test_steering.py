@@ -11,6 +11,7 @@ from torch import Tensor
 from fishrl.envs.steering import PIDSteering, PolicySteering, Steering, load_weights
 from fishrl.modules import make_mlp
 from fishrl.physics.cache_key import make_key
+from fishrl.settings import build, describe
 
 
 def observe_series(steering: Steering, y: list[float], heading: float = pi) -> Tensor:
@@ -77,7 +78,20 @@ def test_keys_depend_on_weights_not_on_path(tmp_path: Path) -> None:
         torch.save(linear_layers(network), paths[0])
         copyfile(*paths)
         keys.append({make_key(PolicySteering(path=str(path))) for path in paths})
+        if seed == 0:
+            stored = describe(PolicySteering(path=str(paths[0])))
+            assert build(PolicySteering, stored).path == str(paths[0])
     assert len(keys[0]) == len(keys[1]) == 1 and keys[0] != keys[1]
+    with pytest.raises(ValueError, match="weights = .* has others"):
+        build(PolicySteering, stored)
+
+
+def test_packaged_weights_are_found_on_any_machine() -> None:
+    stored = describe(PolicySteering())
+    assert stored["path"] == ""
+    del stored["weights"]  # as earlier versions stored it
+    stored["path"] = "/elsewhere/fishrl/envs/steering.pt"
+    assert build(PolicySteering, stored) == PolicySteering()
 
 
 def test_invalid_weights_are_refused(tmp_path: Path) -> None:
