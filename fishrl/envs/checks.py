@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.agents import shape_fish
+from fishrl.envs.agents import TERM, shape_fish
 from fishrl.envs.command import Command
 from fishrl.envs.sense import count_numbers, read_senses
 from fishrl.envs.task import AbstractTask
@@ -15,6 +15,13 @@ from fishrl.physics.bodies.motion import Bending
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 NUM_STARTS = 256
+#: Entries of an environment, with its transforms, that no report may replace.
+OWN = {
+    *("observation", "observation_stack", "critic_observation", "critic_stack", "action_mask"),
+    *("action", "agents", "next", "reward", "episode_reward", "step_count", "is_init"),
+    *("done", "terminated", "truncated", "diverged", "start_index"),
+    *("flow_probabilities", "flow_class"),
+}
 
 
 class Problems:
@@ -77,17 +84,26 @@ def check_answers(task: AbstractTask, now: TensorDictBase) -> dict[str, Tensor]:
     check_rows(task, "is_terminated", task.is_terminated(now), rows, torch.bool)
     terms = check_terms(task, task.reward(now, now), own)
     check_rows(task, "count_safe_steps", task.count_safe_steps(now), rows)
-    report, word = task.report(now), task.success
+    _check_report(task, task.report(now), rows, taken=OWN | {TERM + name for name in terms})
+    return terms
+
+
+def _check_report(task: AbstractTask, report: Any, rows: tuple[int, ...], taken: set[str]) -> None:
+    word = task.success
     _require(task, "report", isinstance(report, dict | TensorDictBase), report, "a dict")
     for name, value in report.items():
+        is_free = name not in taken | ({"success"} - {word})
+        expected = "names that neither the environment nor its metrics use; rename it"
+        _require(task, "report", is_free, repr(name), expected)
         is_right = isinstance(value, Tensor) and tuple(value.shape[:1]) == rows
-        _require(task, f"report {name!r}", is_right, value, f"a tensor with {rows[0]} rows")
+        is_right = is_right and (value.dtype != torch.bool or value.dim() <= 2)
+        expected = f"a tensor with {rows[0]} rows, of booleans [B] or [B, n]"
+        _require(task, f"report {name!r}", is_right, value, expected)
     if word is not None:
         _require(task, "success", word in report, word, f"an entry of report, {sorted(report)}")
         flag = report[word]
         flag = flag.squeeze(1) if flag.dim() == 2 else flag
         check_rows(task, f"report {word!r}", flag, rows, torch.bool)
-    return terms
 
 
 def check_rows(

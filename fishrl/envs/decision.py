@@ -196,7 +196,8 @@ class Decision:
         """Return how long no row ends after a measurement; 0 on a GPU, which would have to wait."""
         if has_ended.is_cuda:
             return 0.0
-        return float(self._task.count_safe_steps(now).masked_fill(has_ended, inf).min())
+        steps = self._task.count_safe_steps(now).double()
+        return float(steps.masked_fill(has_ended, inf).min())
 
 
 @dataclass
