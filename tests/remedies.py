@@ -272,6 +272,7 @@ ENVS: list[tuple[Any, ...]] = [
     (gait, "start_flows", (), (0, 1)),
     (steer, 4, 1),
     (PolicySteering, "weights", "others", OUT),
+    (lambda steering: gait(steering=steering), PIDSteering(max_turn_degrees=90.0), PID),
     (lambda steering: KarmanGait(**IN_STREAM, steering=steering).mirror, PolicySteering(), PID),
     (food, "start_x_bl", (2.0, 7.5), (4.5, 7.5)),
     (lambda away: check_starts(head=FOOD.double() + away), 0.0, 30.0),

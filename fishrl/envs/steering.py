@@ -39,6 +39,11 @@ class Steering(ABC):
     decisions_per_T: int | None = None
     has_mirror: ClassVar[bool] = False
 
+    @property
+    @abstractmethod
+    def largest_turn(self) -> float:
+        """Largest turn within one interval, radians."""
+
     @abstractmethod
     def observe(self, nose: Tensor, middle: Tensor, heading: Tensor) -> Tensor:
         """Return its observation ``[B, n]``, float64.
@@ -83,6 +88,11 @@ class PIDSteering(Settings, Steering):
     max_angle_degrees: Annotated[float, Field(gt=0, le=90)] = 15.0
     max_turn_degrees: Annotated[float, Field(gt=0, le=90)] = 15.0
 
+    @property
+    def largest_turn(self) -> float:
+        """Largest turn, radians."""
+        return radians(self.max_turn_degrees)
+
     def observe(self, nose: Tensor, middle: Tensor, heading: Tensor) -> Tensor:
         """Return the lateral offset of the middle, and the heading."""
         return torch.stack((middle[:, 1], heading), -1)
@@ -91,7 +101,7 @@ class PIDSteering(Settings, Steering):
         """Return the bounded turn towards the target heading."""
         offsets, heading = observations[..., 0], observations[:, -1, 1]
         offset, before = offsets[:, -1], offsets[:, -2]
-        most, step = radians(self.max_angle_degrees), radians(self.max_turn_degrees)
+        most, step = radians(self.max_angle_degrees), self.largest_turn
         # a heading above pi points down, so a fish that is too high turns counter-clockwise
         aim = self.gain * offset + self.integral_gain * offsets.mean(1)
         aim = aim + self.damping * (offset - before)
@@ -144,6 +154,11 @@ class PolicySteering(Settings, Steering):
         """Number of observations in four T."""
         return 4 * self.decisions_per_T
 
+    @property
+    def largest_turn(self) -> float:
+        """Turn of each interval in which the fish turns, radians."""
+        return radians(self.turn_degrees) / self.decisions_per_T
+
     @cached_property
     def layers(self) -> list[tuple[Tensor, Tensor]]:
         """Weight and bias of each layer."""
@@ -160,7 +175,7 @@ class PolicySteering(Settings, Steering):
         values = observations[:, every - 1 :: every].flatten(1).float()
         for number, (weight, bias) in enumerate(_place_layers(self, values.device)):
             values = (relu(values) if number else values) @ weight.mT + bias
-        return radians(self.turn_degrees) / every * (values.argmax(-1).double() - 1.0)
+        return self.largest_turn * (values.argmax(-1).double() - 1.0)
 
 
 @cache

@@ -266,7 +266,7 @@ class AbstractTask(Settings, ABC):
 
     @property
     def largest_turn(self) -> float:
-        """Turn of an action that moves nose and tail at the largest speed of the method, radians."""
+        """Largest turn of an action, radians: it moves nose and tail at the largest speed."""
         # at its middle a turn is twice as fast as on average
         return MAX_IMPOSED_SPEED * self.n_substeps / self.body_length
 

@@ -2,13 +2,16 @@
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 import torch
 from tensordict import TensorDict
+from torch import Tensor
 
 from fishrl.envs import AbstractTask, Command, Flows, Predation
+from fishrl.envs.control import Steady
+from fishrl.envs.control.control import Choice
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.physics import Fish
 from fishrl.physics.bodies.gait import CARLING
@@ -49,6 +52,11 @@ def _start_outside(task: MaskedTask, uniform: torch.Tensor) -> TensorDict:
         ("reward", lambda _, before, now: {"far": now["x"][:, None]},
          r"reward 'far' gives .*\(2, 1\).*, expected a tensor of shape \(2,\)"),
         ("report", lambda _, now: {"far": 1.0}, "report 'far' gives 1.0, expected"),
+        ("report", lambda _, now: {"near": torch.zeros(2, 3, 4, dtype=torch.bool)},
+         r"report 'near' gives .*, expected .* booleans \[B\] or \[B, n\]"),
+        *[("report", lambda _, now, name=name: {name: now["x"] < 1.0},
+           f"report gives '{name}', expected names that neither") for name in
+          ("success", "done", "diverged", "step_count", "reward/progress", "action")],
         ("success", "reached", r"success gives reached, expected .*\['beats'\]"),
         ("starts_from", _start_outside, "head at .*: the fish, or a part of it, lies outside"),
         ("command", lambda _, a, b: 0.1 * a, "command gives a tensor .* expected"),
@@ -69,8 +77,25 @@ def test_invalid_return_value_is_named(member: str, gives: Any, said: str) -> No
         _step(_make(**{member: gives}))
 
 
-def test_success_entry_may_be_a_column() -> None:
-    _step(_make(success="arrived", report=lambda _, now: {"arrived": now["x"][:, None] < 1.0}))
+@pytest.mark.parametrize("name", ["arrived", "success"])
+def test_success_entry_may_be_a_column(name: str) -> None:
+    _step(_make(success=name, report=lambda _, now: {name: now["x"][:, None] < 1.0}))
+
+
+def test_safe_steps_may_be_integers() -> None:
+    _step(_make(count_safe_steps=lambda _, now: torch.full(now.shape, 10)))
+
+
+class _Veering(Steady):
+    action_names: ClassVar[tuple[str, ...]] = ("straight", "left")
+
+    def choose(self, action: Tensor, gear: Tensor, flow: Tensor) -> Choice:
+        return super().choose(action, gear, flow)._replace(turn=0.1 * action.double())
+
+
+def test_control_must_state_its_largest_turn() -> None:
+    with pytest.raises(ValueError, match=r"_Veering.choose gives a turn: give its largest_turn"):
+        _step(Predation(**BRIEF, control=_Veering()))
 
 
 class _WideBeats(Predation):

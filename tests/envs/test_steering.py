@@ -82,7 +82,7 @@ def test_keys_depend_on_weights_not_on_path(tmp_path: Path) -> None:
             stored = describe(PolicySteering(path=str(paths[0])))
             assert build(PolicySteering, stored).path == str(paths[0])
     assert len(keys[0]) == len(keys[1]) == 1 and keys[0] != keys[1]
-    with pytest.raises(ValueError, match="weights = .* has others"):
+    with pytest.raises(ValueError, match=r"weights = .* has others"):
         build(PolicySteering, stored)
 
 

@@ -36,20 +36,24 @@ class AbstractControlTask(AbstractTask, HasHistory):
                 f"{self.largest_bend:.3g} L; bend less, raise control.response_T, or lower "
                 "max_wall_speed"
             )
-        if self.control.largest_turn > self.largest_turn:
-            raise ValueError(
-                f"control turns the fish by {degrees(self.control.largest_turn):.3g}° within "
-                f"control_interval_T = {self.control_interval_T:g}: nose and tail would move at "
-                f"more than {MAX_IMPOSED_SPEED} nodes per step, allowed is "
-                f"{degrees(self.largest_turn):.3g}°; turn less, raise the interval, or lower "
-                "max_wall_speed"
-            )
+        self.check_turn("control", self.control.largest_turn)
         if self.control.num_flows not in (None, 1, self.num_flows):
             raise ValueError(
                 f"control has rows for {self.control.num_flows} flows, but the task has "
                 f"{self.num_flows}: give one row for each, or one for all"
             )
         super().__post_init__()
+
+    def check_turn(self, name: str, largest: float) -> None:
+        """Raise ValueError if a setting turns the fish faster than the method allows, radians."""
+        if largest > self.largest_turn:
+            raise ValueError(
+                f"{name} turns the fish by {degrees(largest):.3g}° within control_interval_T = "
+                f"{self.control_interval_T:g}: nose and tail would move at more than "
+                f"{MAX_IMPOSED_SPEED} nodes per step, allowed is "
+                f"{degrees(self.largest_turn):.3g}°; turn less, raise the interval, or lower "
+                "max_wall_speed"
+            )
 
     @property
     def num_flows(self) -> int:
@@ -98,7 +102,13 @@ class AbstractControlTask(AbstractTask, HasHistory):
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         """Return the choice of ``control``; the next measurement keeps gear and frequency."""
-        choice = self.control.choose(action, before["gear"], self.label_flow(before))
+        control = self.control
+        choice = control.choose(action, before["gear"], self.label_flow(before))
+        for name in ("turn", "bend"):
+            if getattr(choice, name) is not None and not getattr(control, f"largest_{name}"):
+                raise ValueError(
+                    f"{type(control).__name__}.choose gives a {name}: give its largest_{name}"
+                )
         return Command(
             turn=choice.turn,
             bend=choice.bend,

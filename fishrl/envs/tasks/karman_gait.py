@@ -88,6 +88,8 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
                 f"start_flows = {self.start_flows}: give one or more of the indices 0 to {num - 1}"
             )
         super().__post_init__()
+        if not self.steers:
+            self.check_turn("steering", self.steering.largest_turn)
         per_T, wanted = max(1, round(1.0 / self.interval_T)), self.steering.decisions_per_T
         if wanted not in (None, per_T):
             raise ValueError(
@@ -124,10 +126,14 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
         return tuple(self.known_senses[name] for name in shown)
 
     @property
+    def steers(self) -> bool:
+        """Whether actions turn or bend the fish."""
+        return bool(self.control.largest_turn or self.control.largest_bend)
+
+    @property
     def mirrored_actions(self) -> tuple[int, ...]:
         """Mirror images given by ``control``; ValueError if ``steering`` has none."""
-        steers = self.control.largest_turn or self.control.largest_bend
-        if not (steers or self.steering.has_mirror):
+        if not (self.steers or self.steering.has_mirror):
             raise ValueError(
                 f"reflect: {type(self.steering).__name__} does not turn as its mirror image would; "
                 "take steering=pid, or reflect=false"
