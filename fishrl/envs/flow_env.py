@@ -272,7 +272,7 @@ class FlowEnv(EnvBase):
             "start_index": self._start_index.clone(),
             "episode": self._episode.clone(),
             "num_diverged": torch.tensor(self.num_diverged),
-            "seed": torch.tensor(self._seed),
+            "seed": torch.tensor(self._seed & MAX_SEED),
             "next_start": self._next_start.clone(),
         }
 

@@ -52,7 +52,7 @@ def make_task(name: str, **changes: Any) -> AbstractTask:
         name: such as ``karman_gait`` or, for the task of a preset, ``gait_bend``; see
             ``fishrl.presets.list_tasks``.
         **changes: settings of the task, objects or plain data: ``body_length=48``,
-            ``stream={"speeds_bl": [0.45]}``.
+            ``stream={"num_phases": 4}``.
 
     Raises:
         ValueError: for an unknown name, with the nearest one, and for invalid settings.

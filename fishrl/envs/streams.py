@@ -104,8 +104,8 @@ class Stream(Settings):
 class AbstractStreamTask(AbstractTask):
     """Base of tasks in streams; places are (x, y) in L from the middle of the disc's flat side.
 
-    Starts hold ``wake_phase`` ``[E]`` in [0, 1), ``flow_index`` ``[E]`` unless there is one stream,
-    and what ``Stream.draw_changes`` returns.
+    Starts hold ``wake_phase`` ``[E]`` in [0, 1), ``flow_index`` ``[E]``, and what
+    ``Stream.draw_changes`` returns.
     """
 
     @property

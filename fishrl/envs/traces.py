@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from math import isnan
 
 import torch
 from torch import Tensor
@@ -57,8 +58,12 @@ class Traces(Mapping[str, list[Tensor]]):
     def pad(self, name: str, *, value: float = torch.nan, length: int = 0) -> Tensor:
         """Return the traces under a name as ``[E, N, ...]``, filled with ``value`` at their ends.
 
-        N is the length of the longest episode, or ``length`` if that is greater.
+        N is the length of the longest episode, or ``length`` if that is greater. With NaN, which
+        only floats can hold, other numbers become float64.
         """
-        padded = pad_sequence(self[name], batch_first=True, padding_value=value)
+        traces = self[name]
+        if isnan(value) and not traces[0].is_floating_point():
+            traces = [trace.double() for trace in traces]
+        padded = pad_sequence(traces, batch_first=True, padding_value=value)
         missing = max(0, length - padded.shape[1])
         return pad(padded, (0, 0) * (padded.dim() - 2) + (0, missing), value=value)

@@ -87,14 +87,15 @@ def test_traces_hold_each_episode_in_order(task: Predation, num_envs: int) -> No
     base = env.base_env
 
     def read(start_of: Tensor, what: object) -> dict[str, Tensor]:
-        return {"age": base.solver.body.age, "head": base.solver.markers()[:, 0]}
+        age = base.solver.body.age
+        return {"age": age, "head": base.solver.markers()[:, 0], "has_begun": age > 0.0}
 
     def earn(start_of: Tensor, step: TensorDict) -> dict[str, Tensor]:
         return {"reward": step["next", "reward"][:, 0]}
 
     episodes = run_episodes(env, keep_straight, starts, on_begin=read, on_step=earn, on_frame=read)
     traces = episodes.traces
-    assert set(traces) == {"age", "head", "reward"}
+    assert set(traces) == {"age", "head", "has_begun", "reward"}
     for e, (age, head) in enumerate(zip(traces["age"], traces["head"], strict=True)):
         assert age[0] == 0.0 and (age.diff() > 0.0).all()
         torch.testing.assert_close(head[0], starts["head"][e])
@@ -102,4 +103,5 @@ def test_traces_hold_each_episode_in_order(task: Predation, num_envs: int) -> No
     assert [len(reward) for reward in traces["reward"]] == episodes.lengths.tolist()
     padded = traces.pad("age", length=3 * task.time_limit + 1)
     assert padded.shape == (NUM_STARTS, 3 * task.time_limit + 1)
+    assert torch.equal(padded.isnan(), traces.pad("has_begun", length=len(padded[0])).isnan())
     assert padded[0].isnan().any() and torch.equal(traces.of(0)["age"], traces["age"][0])
