@@ -29,6 +29,7 @@ _IDLE = (
     torch.ops.profiler._record_function_exit._RecordFunction,
 )
 _TRANSPOSE = torch.ops.aten.t.default
+_EMPTY = torch.ops.aten.empty.memory_format  # never merged
 # They give other views of the same memory.
 _VIEWS = {_TRANSPOSE, torch.ops.aten.unbind.int, torch.ops.aten.view.default, operator.getitem}
 
@@ -39,7 +40,8 @@ class Traced:
     These are the same operations in the same order, backward passes included, on the entries of the
     batch and on the other tensors that ``function`` reads or changes, such as parameters. All else
     that changes from call to call must therefore be an entry of the batch. Repeated
-    computations, such as the values of the same critics in two losses, are merged.
+    computations, such as the values of the same critics in two losses, are merged unless that
+    would merge random numbers.
 
     On a GPU they are launched as one CUDA graph.
 
@@ -106,9 +108,24 @@ def _strip(traced: GraphModule) -> GraphModule:
         if node.args[0].target is _TRANSPOSE:
             node.replace_all_uses_with(node.args[0].args[0])
     graph.eliminate_dead_code()
-    graph = fx_graph_cse(graph)
+    graph = _merge(graph)
     graph.eliminate_dead_code()
     return _keep_views(GraphModule(traced, graph))
+
+
+def _merge(graph: Graph) -> Graph:
+    """Return a graph with repeated computations merged, or the same one if that changes results.
+
+    Random numbers that look alike must stay apart, and equal tensors that change in place later.
+    """
+    merged = fx_graph_cse(graph)
+    effects, left = (
+        [node for node in each.nodes if node.op == "call_function" and node.is_impure()]
+        for each in (graph, merged)
+    )
+    firsts = [node.args[0] for node in effects if node.args]  # what changes in place, is one
+    own = [each.target for each in firsts if isinstance(each, Node) and each.op == "call_function"]
+    return merged if len(left) == len(effects) and set(own) <= {_EMPTY} else graph
 
 
 def _keep_views(traced: GraphModule) -> GraphModule:

@@ -1,6 +1,7 @@
 """A traced gradient step is the gradient step."""
 
 import copy
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -72,6 +73,21 @@ def test_batch_of_another_shape_goes_to_the_function() -> None:
         (result,) = traced(make_batch(size))
         assert torch.equal(result, torch.full((size,), 2.0))
     assert calls == [2, 3, 3, 2]
+
+
+def differ_by_one(x: Tensor) -> Tensor:
+    one, other = torch.zeros_like(x), torch.zeros_like(x)
+    one += x
+    return one - other
+
+
+@pytest.mark.parametrize(
+    "function", [lambda x: torch.randn_like(x) - torch.randn_like(x), differ_by_one]
+)
+def test_equal_operations_that_must_stay_apart_do(function: Callable[[Tensor], Tensor]) -> None:
+    traced = Traced(lambda batch: [function(batch["x"])])
+    for _ in range(4):
+        assert traced(make_batch(2))[0].all()
 
 
 def test_function_that_branches_on_values_is_refused() -> None:
