@@ -121,5 +121,7 @@ def load_tensors(
         return torch.load(file, map_location=device, weights_only=True, mmap=maps)
     except FileNotFoundError as error:
         raise ValueError(f"{what} {file}: no such file; {remedy}") from error
+    except (MemoryError, torch.OutOfMemoryError):
+        raise
     except Exception as error:  # damaged bytes make torch's unpickler raise any
         raise ValueError(f"{what} {file}: cannot be read; {remedy}") from error

@@ -15,6 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
 
+import torch
 from pydantic import Field, PositiveInt
 from torchrl import checkpoint as torchrl_checkpoint
 
@@ -100,10 +101,12 @@ def save_checkpoint(
         words = ("inline_container", "iostream error")
         if isinstance(error, RuntimeError) and not any(word in str(error) for word in words):
             raise
-        free = f"{shutil.disk_usage(path.parent).free / 1e6:.1f} MB are free"
+        reason = getattr(error, "strerror", None)
+        if reason is None:
+            reason = f"{shutil.disk_usage(path.parent).free / 1e6:.1f} MB are free"
         raise CheckpointNotWritten(
-            f"checkpoint {path}: cannot be written ({getattr(error, 'strerror', None) or free}); "
-            "the previous one is unchanged: free space, or change the permissions of the folder"
+            f"checkpoint {path}: cannot be written ({reason}); the previous one is unchanged: "
+            "free space, or change the permissions of the folder"
         ) from error
     finally:
         shutil.rmtree(stage.parent, ignore_errors=True)
@@ -183,6 +186,7 @@ class Checkpoint:
 
         Raises:
             ValueError: if one is corrupt, or not of the task and sizes of ``spec``.
+            ChildProcessError: if a process of the flows dies.
         """
         spec.check(self.manifest.metadata.model_dump(), path=self.path)
         files = self.files
@@ -194,6 +198,8 @@ class Checkpoint:
                     files[name], what=name, remedy=remedy, device=device, maps=True
                 )
                 component.load_state_dict(state)
+        except (MemoryError, torch.OutOfMemoryError, ChildProcessError):  # the files are good
+            raise
         except Exception as error:  # states of other versions raise any
             raise _corrupt(self.path, error) from error
 
@@ -221,7 +227,7 @@ def _sum(file: Path) -> str:
 
 def _put_in_place(stage: Path, path: Path, *, frames: int, keep: int) -> None:
     """Rename a complete checkpoint to ``path``; a complete one can be found at any moment."""
-    is_first = not path.exists()
+    is_first = not any(path.glob("*"))
     if not is_first:
         previous = _name_older(path, _read_frames(path))
         shutil.rmtree(previous, ignore_errors=True)

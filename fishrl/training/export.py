@@ -1,7 +1,9 @@
 """Write the policy of a run into a small folder with a model card."""
 
 import math
+import shutil
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -58,14 +60,16 @@ def export_policy(
         ValueError: if there is no such run or checkpoint, or the folder holds something.
     """
     folder = Path(folder).expanduser()
-    with claim(folder):
+    with claim(folder), ExitStack() as failed:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise ValueError(f"folder = {folder}: exists; name a new one")
+        failed.callback(shutil.rmtree, folder, ignore_errors=True)
         _export(RunFolder(Path(run).expanduser()), folder, title=title, revision=revision)
+        failed.pop_all()
     return folder
 
 
 def _export(source: RunFolder, folder: Path, *, title: str | None, revision: str | None) -> None:
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ValueError(f"folder = {folder}: exists; name a new one")
     best = Checkpoint.find(source.path)
     plan = Plan.from_config(best.config)
     if source.config.is_file():  # its settings may have changed since the best checkpoint

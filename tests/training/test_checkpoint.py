@@ -79,6 +79,32 @@ def test_only_disk_errors_are_reported_as_such(tmp_path: Path, error: Exception)
     assert not (tmp_path / "last").exists()
 
 
+@pytest.mark.parametrize(
+    ("owner", "kind"),
+    [
+        (torch, torch.OutOfMemoryError),
+        (torch.nn.Linear, MemoryError),
+        (torch.nn.Linear, ChildProcessError),
+    ],
+)
+def test_only_errors_of_the_files_blame_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, owner: Any, kind: type[Exception]
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise kind("while loading")
+
+    save(tmp_path / "last")
+    monkeypatch.setattr(owner, "load" if owner is torch else "load_state_dict", fail)
+    with pytest.raises(kind, match=r"^while loading"):
+        load(tmp_path / "last")
+
+
+def test_checkpoint_below_a_file_is_not_written(tmp_path: Path) -> None:
+    (tmp_path / "run").touch()
+    with pytest.raises(CheckpointNotWritten, match="cannot be written"):
+        save(tmp_path / "run" / "checkpoints" / "last")
+
+
 def test_file_that_is_missing_cut_or_changed_is_noticed(tmp_path: Path) -> None:
     save(tmp_path / "last")
     files = [path for path in (tmp_path / "last").rglob("*") if path.is_file()]

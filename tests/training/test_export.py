@@ -1,6 +1,7 @@
 """An exported policy is a small checkpoint with a model card."""
 
 from pathlib import Path
+from shutil import copytree
 
 import pytest
 import torch
@@ -30,3 +31,18 @@ def test_export_writes_best_policy_and_model_card(whole: Training, tmp_path: Pat
         for short, cell in zip(row.values(), full.values(), strict=True):
             assert len(short) <= len(cell) and (not cell) == (not short)
             assert float(short or 0) == pytest.approx(float(cell or 0), rel=1e-6)
+
+
+def test_failed_export_leaves_nothing_and_an_empty_folder_is_taken_alone(
+    whole: Training, tmp_path: Path
+) -> None:
+    run, folder, other = (tmp_path / name for name in ("run", "out", "out-000000240"))
+    copytree(whole.folder.path, run)
+    (run / "metrics.csv").write_text("")
+    with pytest.raises(ValueError, match="it lacks frames"):
+        export_policy(run, folder)
+    (run / "metrics.csv").unlink()
+    folder.mkdir()
+    other.mkdir()
+    export_policy(run, folder)
+    assert other.is_dir()
