@@ -4,7 +4,6 @@ import csv
 import io
 import logging
 import math
-import os
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -49,7 +48,8 @@ class CsvLogger:
         self._begin(folder, config=config, step=step)
         self._path, self._columns = folder / "metrics.csv", list(columns)
         self._unwritten: list[dict[str, Any]] = []
-        rows: list[Mapping[str, Any]] = [{name: name for name in columns}]
+        self._heads = {name: name for name in columns}
+        rows: list[Mapping[str, Any]] = [self._heads]
         if step > 0 and self._path.is_file():
             rows += [row for row in read_rows(self._path) if int(row["frames"]) <= step]
         write_whole(self._path, self._render(rows))
@@ -82,14 +82,15 @@ class CsvLogger:
         """Append the rows that are not written yet, all of them or none."""
         if self._path is None or not self._unwritten:
             return
-        size = self._path.stat().st_size
         try:
             with self._path.open("ab", buffering=0) as file:
-                text = self._render(self._unwritten).encode()
+                size = file.tell()
+                heads = [] if size else [self._heads]  # the file may have been deleted
+                text = self._render([*heads, *self._unwritten]).encode()
                 if file.write(text) < len(text):
+                    file.truncate(size)
                     raise OSError("the disk is full")
         except OSError as error:
-            os.truncate(self._path, size)
             reason = error.strerror or error
             count = len(self._unwritten)
             logger.error("%s: %d rows cannot be written (%s)", self._path, count, reason)

@@ -38,6 +38,19 @@ def test_damaged_metrics_are_refused_and_stay(tmp_path: Path) -> None:
         assert (tmp_path / "metrics.csv").read_bytes() == content
 
 
+def test_deleted_metrics_begin_again_with_later_rows(tmp_path: Path) -> None:
+    log = CsvLogger()
+    log.open(tmp_path, columns=["frames", "a"], config={})
+    log.log({"frames": 8, "a": 1.0})
+    (tmp_path / "metrics.csv").unlink()
+    log.log({"frames": 16, "a": 2.0})
+    assert read_rows(tmp_path) == [{"frames": "16", "a": "2.0"}]
+    (tmp_path / "metrics.csv").unlink()
+    tmp_path.rmdir()
+    log.log({"frames": 24, "a": 3.0})
+    log.close()
+
+
 def test_resumed_log_drops_rows_after_the_checkpoint(tmp_path: Path) -> None:
     log = CsvLogger()
     log.open(tmp_path, columns=["frames", "a"], config={})
