@@ -11,6 +11,9 @@ from fishrl.training.plan import Plan, is_fixed
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.viewer import ViewerSettings
 
+#: Settings that a run takes from the command line only when it begins.
+_OF_NEW_RUNS = ("experiment", "folder", "name")
+
 
 class TrainConfig(ViewerSettings, Plan):
     """Settings of a training run.
@@ -48,9 +51,10 @@ def read_resumed(given: Node) -> Node:
         return {}
     folder = RunFolder.of_existing(str(given["resume"]))
     for key in given:
-        if is_fixed(key):
+        if is_fixed(key) or key in _OF_NEW_RUNS:
             raise ValueError(f"{key}: is fixed in {folder.path}; leave it out, or start a new run")
-    return {**read_config(folder.config), "live": False}
+    chosen = {"logger": given["logger"]} if given.get("logger") else {}
+    return {**read_config(folder.config), "live": False, **chosen}
 
 
 TRAINING = CommandLine(
@@ -59,7 +63,7 @@ TRAINING = CommandLine(
     groups={
         "task": "predation",
         "algorithm": "discrete_sac",
-        "logger": "csv",
+        "logger": None,
         "preset": None,
         "experiment": None,
     },

@@ -55,10 +55,12 @@ class Learner(ABC):
     Attributes:
         actor: policy that is evaluated and saved.
         explorer: policy that collects, for all fish; the collector saves its state.
+        first_frames: env frames before the first gradient step.
     """
 
     def __init__(self, networks: Networks, settings: LearningSettings) -> None:
         self.actor, self.explorer, self.loss = networks.actor, networks.explorer, networks.loss
+        self.first_frames = settings.warmup_frames + 1
         self.transforms, self._is_traced = networks.transforms, networks.is_traced
         self.reports = tuple(self.loss.out_keys)
         self._keys = list(dict.fromkeys([*self.loss.in_keys, *networks.keys]))
@@ -171,10 +173,6 @@ class OffPolicyLearner(Learner):
         networks.loss.make_value_estimator(gamma=settings.gamma)
         self._targets = SoftUpdate(networks.loss, tau=settings.tau)
         super().__init__(networks, settings)
-        if settings.scale_inputs and not settings.warmup_frames:
-            raise ValueError(
-                "warmup_frames = 0: scale_inputs measures the scale in the warm-up; raise it"
-            )
 
     def _remember(self, transitions: TensorDictBase) -> None:
         self._extend(transitions)
@@ -208,6 +206,7 @@ class OnPolicyLearner(Learner):
         self._collected = [*self._keys, ("next", "diverged")]
         self._keys += ["advantage", "value_target"]
         self._length, self._decisions = rollout_length, list[TensorDictBase]()
+        self.first_frames = rollout_length * settings.flows.num_envs
 
     def _remember(self, transitions: TensorDictBase) -> None:
         """Take one decision of each flow, always in the same order."""

@@ -6,7 +6,7 @@ import os
 import random
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -26,9 +26,10 @@ from fishrl.training.checkpoint import Checkpoint, CheckpointNotWritten, save_ch
 from fishrl.training.collector import RNGState, make_collector
 from fishrl.training.evaluation import FINAL_SEED, SELECTION_SEED, TRAIN_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
+from fishrl.training.logger import CsvLogger
 from fishrl.training.metrics import Counters, compute_mlups, list_metrics, measure_memory_mb
 from fishrl.training.opening import Opened
-from fishrl.training.run_folder import write_json, write_yaml
+from fishrl.training.run_folder import read_summary, write_json, write_yaml
 
 logger = logging.getLogger(__name__)
 
@@ -52,33 +53,43 @@ class Training:
     ) -> None:
         self._began = time.perf_counter()
         opened.check()
-        self._generators_before = RNGState().state_dict()  # the caller's
         before, self.opened = opened, opened.enter()
         opened = self.opened
         self.folder, self.plan, self.task = opened.folder, opened.plan, opened.task
+        self.logger = self.plan.logger or CsvLogger()
         self.counters, self.interruption = Counters(), interruption or Interruption()
         self.callbacks, self._lock = join(callbacks), self.folder.hold()
-        before.check_current(self.folder)
-        if opened.result is None:
-            self.folder.summary.unlink(missing_ok=True)  # it will be replaced
+        with ExitStack() as self._held:  # released if the rest fails
+            self._held.enter_context(self._lock)
+            before.check_current(self.folder)
+            if opened.checkpoint is None:
+                self._write_settings()
+            logger.info("run folder: %s", self.folder.path)
+            with self.folder.noting_failure():
+                self._set_up()
+                if opened.checkpoint is not None:
+                    self._restore(opened.checkpoint)
+                    self._write_settings()
+            if self.plan.total_frames < self.learner.first_frames:
+                logger.warning(
+                    "no gradient step in this run: total_frames = %d, the first step is at %d; "
+                    "raise total_frames",
+                    self.plan.total_frames,
+                    self.learner.first_frames,
+                )
+            self._held = self._held.pop_all()
+
+    def _write_settings(self) -> None:
+        """Write the settings, which a result of other settings would not fit."""
+        if self.opened.result is None:
+            self.folder.summary.unlink(missing_ok=True)
         else:
             self.folder.ending.touch()
-        write_yaml(self.folder.config, opened.stored | self.plan.to_config())
-        logger.info("run folder: %s", self.folder.path)
-        if self.plan.total_frames <= self.plan.warmup_frames:
-            logger.warning(
-                "no gradient step in this run: total_frames = %d ends before warmup_frames = %d is "
-                "over; raise total_frames or lower warmup_frames",
-                self.plan.total_frames,
-                self.plan.warmup_frames,
-            )
-        with self.folder.noting_failure():
-            self._set_up()
-            if opened.checkpoint is not None:
-                self._restore(opened.checkpoint)
+        write_yaml(self.folder.config, self.opened.stored | self.plan.to_config())
 
     def _set_up(self) -> None:
         """Make the learner and the flows."""
+        self._held.callback(RNGState().load_state_dict, RNGState().state_dict())  # the caller's
         seed = self.plan.seed
         random.seed(seed)
         np.random.seed(seed)  # noqa: NPY002 - for libraries that use the global generator
@@ -89,6 +100,7 @@ class Training:
         self.callbacks.on_phase("compilation" if self.plan.flows.compile else "set-up")
         with ignore_signals_in_children():  # a checkpoint needs the flows in these processes
             self.collector = make_collector(self.opened, self.learner, seed=TRAIN_SEED + seed)
+        self._held.callback(self.collector.shutdown)
 
     @partial(in_own_state, is_learning=True)
     def run(self) -> dict[str, Any]:
@@ -100,10 +112,12 @@ class Training:
             CheckpointNotWritten: if the first or the last checkpoint cannot be written.
         """
         env = self.collector.env
+        self._held.callback(self.logger.close)
+        self._held.callback(self.callbacks.on_close)
         self.callbacks.on_begin(env)
         columns = list_metrics(self.learner.reports, name_counted(env), name_terms(env))
         frames, config = self.counters.frames, self.plan.to_config()
-        self.plan.logger.open(self.folder.path, columns=columns, config=config, step=frames)
+        self.logger.open(self.folder.path, columns=columns, config=config, step=frames)
         if frames == 0:
             self._save(self.folder.last)
         try:
@@ -166,7 +180,7 @@ class Training:
             metrics = metrics | self._select()
         counters.wall_seconds = metrics["time/wall_seconds"] = self._wall_seconds()
         if is_evaluated or self._has_crossed(plan.log_frames):
-            self.plan.logger.log(metrics | {"time/memory_mb": measure_memory_mb()})
+            self.logger.log(metrics | {"time/memory_mb": measure_memory_mb()})
             counters.losses = {}
         counters.pending = {}
         if is_over or self._has_crossed(plan.checkpoint_frames):
@@ -201,6 +215,7 @@ class Training:
             result = self._compare() | self._describe(best)
             folder.ending.touch()
             write_json(folder.summary, result)
+            result = read_summary(folder.summary)  # with null for NaN, as after a resume
             self.opened = replace(self.opened, result=result)
         self.callbacks.on_end(
             result,
@@ -283,11 +298,7 @@ class Training:
 
     def _restore(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint."""
-        try:
-            self._load(checkpoint, self._components())
-        except ValueError:
-            self.close()
-            raise
+        self._load(checkpoint, self._components())
         self._began -= self.counters.wall_seconds
         logger.info("continuing from frame %d of %s", self.counters.frames, self.folder.path)
 
@@ -318,11 +329,7 @@ class Training:
 
     def close(self) -> None:
         """End the flows, the log and the callbacks; random generators are as before the run."""
-        self.callbacks.on_close()
-        self.plan.logger.close()
-        self.collector.shutdown()
-        self._lock.close()
-        RNGState().load_state_dict(self._generators_before)
+        self._held.close()
 
     def _wall_seconds(self) -> float:
         """Return the seconds since the run was set up, plus those before a resume."""

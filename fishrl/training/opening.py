@@ -21,7 +21,7 @@ from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import CHANGED, HeldError, RunFolder, read_config, read_summary
 
 #: Settings that a run keeps when it continues, regardless of the settings given.
-_OWN = ("recognition", "logger", "folder", "name")
+_OWN = ("recognition", "folder", "name")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,13 +110,12 @@ class Opened:
 
     def enter(self) -> "Opened":
         """Return the run with its folder, which is made for a new one, with its classifier."""
-        if self.stored:
-            return self
-        plan, is_named = self.plan, self.plan.name is not None
-        folder = RunFolder.create(parent=plan.folder, name=plan.folder_name, reuse=is_named)
-        if plan.recognition is not None:
+        plan, folder, is_named = self.plan, self.folder, self.plan.name is not None
+        if not self.stored:
+            folder = RunFolder.create(parent=plan.folder, name=plan.folder_name, reuse=is_named)
+        if plan.recognition is not None and self.checkpoint is None:
             plan = replace(plan, recognition=plan.recognition.keep(folder.path))
-        return replace(self, plan=plan, folder=folder, stored=plan.to_config())
+        return replace(self, plan=plan, folder=folder, stored=self.stored or plan.to_config())
 
     def check_current(self, folder: RunFolder) -> None:
         """Raise HeldError if another process has continued the run since it was read."""
@@ -129,7 +128,8 @@ class Opened:
 def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
     """Open the run of these settings, or the run in a folder.
 
-    If the folder of the settings holds a run, it keeps its folder, name, logger and classifier.
+    If the folder of the settings holds a run, it keeps its folder, name and classifier, and its
+    logger unless one is given. One that failed before its first frame begins with new settings.
 
     Args:
         run: settings, or the folder of a run.
@@ -146,8 +146,11 @@ def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
             return Opened(plan=run, folder=folder)
         config = read_config(folder.config)
         stored = type(run).from_config(config)
+        plan = replace(run, logger=run.logger or stored.logger)
+        if folder.failure.is_file() and not folder.has_begun():
+            return Opened(plan=plan, folder=folder, stored=config)
         _refuse_other(run, stored, folder.path)
-        plan = replace(run, **{name: getattr(stored, name) for name in _OWN})
+        plan = replace(plan, **{name: getattr(stored, name) for name in _OWN})
     else:
         folder = RunFolder.of_existing(run)
         config = read_config(folder.config)

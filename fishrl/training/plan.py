@@ -1,7 +1,7 @@
 """The complete settings of a run, as an object and as the ``config.yaml`` in its folder."""
 
 from collections.abc import Mapping
-from dataclasses import field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -20,14 +20,14 @@ class Plan(RunSettings, LearningSettings):
     Args:
         task: the task.
         algorithm: the learning algorithm.
-        logger: writes the metrics.
+        logger: writes the metrics; by default the one of the run in the folder, or to a CSV file.
         preset: name of the preset.
         recognition: source of flow labels, ``Oracle()`` or ``Classifier(path=...)``.
     """
 
     task: AbstractTask
     algorithm: Algorithm = DiscreteSAC()
-    logger: Annotated[CsvLogger, Role.HARMLESS] = field(default_factory=CsvLogger)
+    logger: Annotated[CsvLogger | None, Role.HARMLESS] = None
     preset: str | None = None
     recognition: Recognition | None = None
 

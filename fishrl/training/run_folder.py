@@ -7,7 +7,7 @@ import json
 import time
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any, TextIO
 
@@ -117,7 +117,8 @@ class RunFolder:
         except (HeldError, Interrupted):
             raise
         except Exception:
-            write_whole(self.failure, traceback.format_exc())
+            with suppress(OSError):  # a full disk must not hide the error
+                write_whole(self.failure, traceback.format_exc())
             raise
 
 

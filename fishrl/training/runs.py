@@ -44,7 +44,7 @@ def train(
         run: where the run is written, and how often it evaluates, logs and saves.
         callbacks: called during the run, such as ``Progress()``.
         recognition: source of flow labels, ``Oracle()`` or ``Classifier(path=...)``.
-        logger: writes the metrics; by default to a CSV file.
+        logger: writes the metrics; by default to a CSV file, or where the run did before.
         preset: name for these settings; part of the name of the run folder.
 
     Raises:
@@ -54,7 +54,7 @@ def train(
     plan = Plan(
         task=task,
         algorithm=algorithm or DiscreteSAC(),
-        logger=logger or CsvLogger(),
+        logger=logger,
         preset=preset,
         recognition=recognition,
         **vars(learning or LearningSettings()),

@@ -85,7 +85,7 @@ class RunSettings(Settings):
     total_frames: Annotated[PositiveInt, Role.CONTINUATION] = 2800
     learner_device: Annotated[str | None, Role.CONTINUATION] = None
     folder: Annotated[str, Role.HARMLESS] = "runs"
-    name: Annotated[str | None, Role.HARMLESS] = None
+    name: Annotated[str | None, Field(min_length=1), Role.HARMLESS] = None
     log_frames: Annotated[PositiveInt, Role.HARMLESS] = 64
     checkpoint_frames: Annotated[PositiveInt, Role.HARMLESS] = 350
     keep_checkpoints: Annotated[PositiveInt, Role.HARMLESS] = 2

@@ -10,7 +10,9 @@ from omegaconf import OmegaConf
 from fishrl.envs import Flows, KarmanGait
 from fishrl.programs import evaluate, summarize, train, train_lateral_line
 from fishrl.programs.configuration import parse, quote, read_value
+from fishrl.training import open_run
 from fishrl.training.checkpoint import Checkpoint
+from fishrl.training.logger import CsvLogger
 from fishrl.training.run_folder import write_yaml
 
 read = train.main.read
@@ -118,6 +120,19 @@ def test_resume_needs_one_run(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text("a: [1")
     with pytest.raises(ValueError, match="not the configuration of a run"):
         read([f"resume='{tmp_path}'"])
+
+
+def test_resumed_run_takes_another_logger_but_no_experiment_or_folder(tmp_path: Path) -> None:
+    own = write_yaml_file(tmp_path, "experiment", "log_frames: 7")
+    write_yaml(tmp_path / "config.yaml", read(["logger=wandb"]).to_config())
+    resume = f"resume='{tmp_path}'"
+    for words in (["logger.is_offline=true"], ["logger=wandb", "logger.is_offline=true"]):
+        logger: Any = open_run(read([resume, *words])).plan.logger
+        assert logger.is_offline
+    assert type(open_run(read([resume, "logger=csv"])).plan.logger) is CsvLogger
+    for word in ("experiment=own", "folder=x", "name=x"):
+        with pytest.raises(ValueError, match=r"is fixed in .*; leave it out"):
+            read([own, resume, word])
 
 
 def draw_words(letters: str, num: int) -> list[str]:

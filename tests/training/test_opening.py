@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
+import torch
 
 from fishrl.envs import Flows, KarmanGait, Oracle, Predation, make_env
 from fishrl.envs.streams import Stream
@@ -12,7 +13,7 @@ from fishrl.physics import InPlaceSolver
 from fishrl.programs.sweeps.runs import read_run
 from fishrl.training import Plan, complete, open_run
 from fishrl.training.loop import Training
-from fishrl.training.run_folder import HeldError
+from fishrl.training.run_folder import HeldError, RunFolder
 from tests.envs.conftest import SMALL
 from tests.training.conftest import QUICK, Toy, make_run_folder, make_toy_plan
 
@@ -39,6 +40,8 @@ def test_wrong_observation_size_is_told_before_compiling(monkeypatch: pytest.Mon
     [
         ({"baselines": ("randm",)}, "did you mean 'random'"),
         ({"flows": Flows(device="cuda:99")}, "CUDA devices"),
+        ({"name": ""}, "name = '': must have at least 1 character"),
+        ({"scale_inputs": True, "warmup_frames": 0}, "warmup_frames = 0: .* raise it"),
         ({"buffer_size": 10**12}, "buffer .* GB: more than the .* GB of cpu"),
     ],
 )
@@ -100,6 +103,48 @@ def test_run_that_another_process_has_gone_on_with_since_it_was_read_is_left_alo
     if not is_unchanged:
         assert before == (other.folder.config.read_text(), other.folder.metrics.exists())
         assert [path.name for path in toy.folder.iterdir()] == ["run"]
+
+
+def fail(*_: Any, **__: Any) -> None:
+    torch.manual_seed(7)
+    raise RuntimeError("no compiler")
+
+
+def test_failed_extension_leaves_run_lock_and_generators_alone(
+    toy: Toy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = toy.begin(name="run", total_frames=16, **QUICK)
+    complete(first)
+    files, generator = (first.folder.config, first.folder.summary), torch.get_rng_state()
+    before = [file.read_text() for file in files]
+    monkeypatch.setattr("fishrl.training.loop.make_collector", fail)
+    with pytest.raises(RuntimeError, match="no compiler") as kept:
+        Training(open_run(first.folder.path, final_episodes=4))
+    monkeypatch.undo()
+    assert before == [file.read_text() for file in files]
+    assert torch.equal(generator, torch.get_rng_state())
+    Training(open_run(first.folder.path, final_episodes=4)).close()
+    assert kept.tb is not None  # with its local variables, as in a notebook
+
+
+def test_named_run_that_failed_before_its_first_frame_takes_new_settings(
+    toy: Toy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fishrl.training.loop.make_collector", fail)
+    with pytest.raises(RuntimeError, match="no compiler"):
+        toy.begin(name="run", gamma=0.9)
+    monkeypatch.undo()
+    toy.begin(name="run", gamma=0.5, total_frames=16, **QUICK).run()
+    assert open_run(toy.folder / "run").plan.gamma == 0.5
+    (toy.folder / "run" / "failure.txt").touch()
+    with pytest.raises(ValueError, match=r"gamma = 0\.9: is 0\.5 in"):
+        toy.begin(name="run", gamma=0.9)
+
+
+def test_error_is_raised_though_it_cannot_be_noted(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "nowhere")
+    with pytest.raises(ChildProcessError, match="a flow worker"), folder.noting_failure():
+        raise ChildProcessError("a flow worker failed")
 
 
 def test_one_process_trains_a_run_once(toy: Toy) -> None:

@@ -187,9 +187,11 @@ def test_resume_stores_changes_and_keeps_entries_of_programs(toy: Toy) -> None:
 
 
 def test_resume_leaves_a_finished_run_unchanged_unless_extended(toy: Toy) -> None:
-    toy.begin(name="run", total_frames=16, **QUICK).run()
+    out_of_reach = {"capture_radius_bl": 0.0}
+    result = toy.begin(name="run", total_frames=16, task=out_of_reach, **QUICK).run()
     toy.trainings[-1].close()
     run, plan = toy.folder / "run", toy.trainings[-1].plan
+    assert resume(run) == result
     before = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
     for harmless in ({}, {"log_frames": 10}, {"total_frames": 8}):
         assert resume(run, **harmless)["frames"] == 16
@@ -227,9 +229,10 @@ def test_training_named_run_again_continues_or_returns_summary(toy: Toy) -> None
     assert phases == []
     assert run(240)["frames"] == 240 and "warm-up" not in phases  # continued, not begun
     assert [path.name for path in toy.folder.iterdir()] == ["run"]
-    other = toy.begin(name="other", **QUICK)
-    again = make_toy_plan(toy.folder, name="other", logger=Spare(), **QUICK)
-    assert open_run(again).plan.to_config() == other.plan.to_config()  # it keeps its logger
+    toy.begin(name="other", logger=Spare(), **QUICK)
+    again = make_toy_plan(toy.folder, name="other", **QUICK)
+    assert isinstance(open_run(again).plan.logger, Spare)  # it keeps its logger
+    assert type(open_run(again.change(logger=CsvLogger())).plan.logger) is CsvLogger
 
 
 def test_run_without_its_checkpoint_is_not_resumed(toy: Toy) -> None:

@@ -69,7 +69,14 @@ class Algorithm(Settings, ABC):
             )
 
     def adapt(self, settings: LearningSettings) -> dict[str, Any]:
-        """Return common settings that follow from the settings of this algorithm."""
+        """Return common settings that follow from the settings of this algorithm.
+
+        By default none, for algorithms that begin with a warm-up; ValueError if they need one.
+        """
+        if settings.scale_inputs and not settings.warmup_frames:
+            raise ValueError(
+                "warmup_frames = 0: scale_inputs measures the scale in the warm-up; raise it"
+            )
         return {}
 
     @abstractmethod

@@ -52,7 +52,7 @@ class DRQN(DQN):
             )
         if not settings.hidden:
             raise ValueError("hidden = (): DRQN needs a hidden layer, the last of which recurs")
-        return {}
+        return super().adapt(settings)
 
     def make_loss(
         self, policy: Any, spec: PolicySpec, generator: torch.Generator
