@@ -46,8 +46,9 @@ def load_policy(
 ) -> TensorDictModuleBase:
     """Load a learned policy.
 
-    It samples its actions. Under ``torchrl.envs.set_exploration_type`` with
-    ``ExplorationType.DETERMINISTIC``, as in evaluations, it takes the most probable ones.
+    It samples its actions, but those of DQN and DRQN are greedy. Under
+    ``torchrl.envs.set_exploration_type`` with ``ExplorationType.DETERMINISTIC``, as in evaluations,
+    it takes the most probable ones.
 
     Args:
         checkpoint: as in ``load_plan``.
