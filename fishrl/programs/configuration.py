@@ -127,11 +127,13 @@ class CommandLine:
             node = {key: value for key, value in node.items() if key in kept}
         if self.stored is not None:
             node |= self.stored(given)
-            for key in given.keys() - {*self.groups, "modules"}:
+            whole: Node = {}  # an object's ``_target_`` together with its arguments
+            for key in sorted(given.keys() - {*self.groups, "modules"}):
                 nested = given[key]
                 for name in reversed(key.split(".")):
                     nested = {name: nested}
-                merge(node, nested, replaces=True)
+                merge(whole, nested)
+            merge(node, whole, replaces=True)
         modules = {*named, *(module for module in list_modules(node) if module in trusted)}
         outside = {module for module in modules if module.split(".")[0] != "fishrl"}
         return node, sorted(outside)

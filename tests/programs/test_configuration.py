@@ -1,6 +1,8 @@
 """Command lines: what is composed of files and settings, and how mistakes are answered."""
 
 import random
+from collections.abc import Sequence
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +10,10 @@ import pytest
 from omegaconf import OmegaConf
 
 from fishrl.envs import Flows, KarmanGait
+from fishrl.envs.control import Bend
 from fishrl.programs import evaluate, summarize, train, train_lateral_line
 from fishrl.programs.configuration import parse, quote, read_value
-from fishrl.training import open_run
+from fishrl.training import Classifier, open_run
 from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.logger import CsvLogger
 from fishrl.training.run_folder import write_yaml
@@ -110,6 +113,17 @@ def test_other_programs_take_only_task_of_preset() -> None:
     assert with_preset.task == read(["preset=gait_small"]).task != plain.task
     own = {name: getattr(plain, name) for name in ("task", "preset")}
     assert vars(with_preset) | own == vars(plain) | {"flows": Flows(num_envs=3)}
+
+
+@pytest.mark.parametrize("order", [*permutations(range(3))])
+def test_object_and_arguments_are_given_in_any_order(order: Sequence[int]) -> None:
+    control = ("_target_=fishrl.envs.control.Bend", "bend_bl=0.12", "response_T=0.4")
+    classifier = ("_target_=fishrl.training.Classifier", "path=zoo/gait_sharp", "memory=0.25")
+    words = [f"task.control.{control[i]}" for i in order]
+    words += [f"recognition.{classifier[i]}" for i in order]
+    found = evaluate.main.read(["policy=zoo/gait_sharp", *words, "task.observes=[place,drift]"])
+    assert found.task.control == Bend(bend_bl=0.12, response_T=0.4)
+    assert found.recognition == Classifier(path="zoo/gait_sharp", memory=0.25)
 
 
 def test_resume_needs_one_run(tmp_path: Path) -> None:
