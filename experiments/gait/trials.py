@@ -19,6 +19,7 @@ from fishrl.envs.sensors import wrap_angle
 from fishrl.envs.steering import PolicySteering
 from fishrl.files import load_tensors, staged
 from fishrl.physics.cache_key import hash_sources, make_key
+from fishrl.physics.fast.identity import identify_for_file
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.checkpoint import Checkpoint
@@ -186,7 +187,7 @@ def run_trial(
     """Run ``episodes`` from fixed starts in each flow, or read them from the folder if it can."""
     task, num_streams = trial.task, len(trial.task.stream.speeds_bl)
     sources = hash_sources(*_SOURCES)
-    versions = (sources, torch.__version__)
+    versions = (identify_for_file(task), sources, torch.__version__)
     key = make_key(task, trial.identity, episodes, FRAMES, *versions)
     path = folder / "histories" / f"{trial.name}-{key}.pt"
     if path.is_file():

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
-from uuid import uuid4
 
 import torch
 from pydantic import Field, PositiveFloat, PositiveInt
@@ -24,14 +23,13 @@ from fishrl.memory import check_memory
 from fishrl.physics.bodies.motion import Fixed
 from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.physics.diagnostics import find_crossings, measure_cycles
-from fishrl.physics.fast.identity import identify
+from fishrl.physics.fast.identity import identify_for_file
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.settings import Settings
 
 logger = logging.getLogger(__name__)
 
-_PROCESS = uuid4().hex  # in keys of what other processes may not take
 _SAMPLES_PER_TRAVEL = 16  # of the lift; a shedding period is about five travels
 
 
@@ -57,10 +55,7 @@ class WakeRecipe(Settings):
     @property
     def key(self) -> str:
         """Key that changes with all that may change the wakes: recipe, physics, or this file."""
-        try:
-            foreign = identify(self.config)  # of classes from elsewhere
-        except LookupError:  # one whose source cannot be known: not for other processes
-            foreign = _PROCESS
+        foreign = identify_for_file(self.config)  # of classes from elsewhere
         return make_key(self, foreign, hash_sources(__name__), torch.__version__)
 
 

@@ -135,7 +135,7 @@ def test_wakes_of_own_classes_are_kept_by_their_code(
 
     keys.append(find_key(Local(velocity=(1.0, 0.0))))
     assert find_key(Local(velocity=(1.0, 0.0))) == keys[-1]
-    monkeypatch.setattr("fishrl.envs.wakes._PROCESS", "another")
+    monkeypatch.setattr("fishrl.physics.fast.identity._PROCESS", "another")
     keys.append(find_key(Local(velocity=(1.0, 0.0))))
     assert len(set(keys)) == 4
 

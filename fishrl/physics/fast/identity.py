@@ -8,6 +8,7 @@ from enum import Enum
 from functools import cache
 from pathlib import Path
 from types import FunctionType, ModuleType
+from uuid import uuid4
 
 import torch
 
@@ -15,6 +16,7 @@ from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.physics.cache_key import make_key, read_code
 
 _OWN = "fishrl.physics"
+_PROCESS = uuid4().hex
 #: What classes may derive from besides; their versions are in the keys of compiled code.
 _LIBRARIES = {*sys.stdlib_module_names, "numpy", "pydantic", "torch", "typing_extensions"}
 
@@ -52,6 +54,14 @@ def identify(thing: object) -> object:
     if is_dataclass(thing):
         return [*name, *((f.name, identify(getattr(thing, f.name))) for f in fields(thing))]
     raise LookupError(f"{thing!r} has a state that cannot be known")
+
+
+def identify_for_file(thing: object) -> object:
+    """Return what ``identify`` does; of a thing that cannot be known, what no other process has."""
+    try:
+        return identify(thing)
+    except LookupError:
+        return _PROCESS
 
 
 def _lies_in(module: str, package: str) -> bool:

@@ -23,6 +23,7 @@ from fishrl.envs.extensions import HasFlowLabels
 from fishrl.envs.lateral_line import KNOWN
 from fishrl.files import load_tensors, staged
 from fishrl.physics.cache_key import hash_sources, make_key
+from fishrl.physics.fast.identity import identify_for_file
 from fishrl.settings import Settings
 from fishrl.training.baselines import make_pid
 from fishrl.training.callback import SILENT, Callback
@@ -76,8 +77,9 @@ class CollectionSettings(Settings):
     @property
     def place(self) -> Path:
         """Folder of the data, named by a hash of everything that determines them."""
-        settings = (self.recorded_task, self.flows.num_envs, self.max_decisions, self.seed)
-        key = make_key(*settings, hash_sources(*_SOURCES), torch.__version__)
+        task = self.recorded_task
+        settings = (task, self.flows.num_envs, self.max_decisions, self.seed)
+        key = make_key(*settings, identify_for_file(task), hash_sources(*_SOURCES), torch.__version__)
         return Path(self.data_folder).expanduser() / key
 
 

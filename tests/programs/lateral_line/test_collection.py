@@ -1,5 +1,6 @@
 """Collection of labelled signals: what is recorded, and what is kept."""
 
+import importlib
 import shutil
 from pathlib import Path
 from typing import Any
@@ -77,6 +78,22 @@ def test_interrupted_collection_continues_exactly(
     (settings.place / "piece-0000.pt").write_text("cut short")
     with pytest.raises(ValueError, match=r"piece-0000.pt: cannot be read; delete the file"):
         collect(settings)
+
+
+def test_data_of_own_task_are_kept_by_its_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own_street.py").write_text(
+        "from fishrl.envs import KarmanGait\n\nPULL = 1.0\n\n\nclass Own(KarmanGait):\n"
+        "    def is_terminated(self, now):\n        return super().is_terminated(now) * PULL\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    own = importlib.import_module("own_street")
+    settings = make_settings(tmp_path, task=own.Own())
+    place = settings.place
+    assert settings.place == place
+    own.PULL = 2.0
+    assert settings.place != place
 
 
 def test_sensor_layouts_share_collected_data(tmp_path: Path) -> None:
