@@ -163,6 +163,9 @@ class CommandLine:
         options = split_options(arguments)
         bare = {*self.groups, *self.list_defaults()}
         overrides = [self._as_override(word, bare) for word in options.overrides]
+        named = [word for word in overrides if word.startswith(f"{self.positional}=")]
+        if len(named) > 1:
+            raise ValueError(f"{', '.join(named)}: must be one; run the program once for each")
         folders = [] if self.conf is None else [self.conf]
         if options.config_dir is not None:
             folders.append(Path(options.config_dir).expanduser().resolve())
@@ -182,8 +185,8 @@ class CommandLine:
             raise ValueError(f"{word!r}: settings are given as key=value, without spaces")
         if key not in self.groups and (key in GROUPS or (CONF / key).is_dir()):
             raise unknown(key, sorted(bare))
-        if key in self.groups and value.startswith(("[", "{")):
-            raise ValueError(f"{word}: must be one name")
+        if key in self.groups and (value == "null" or value.startswith(("[", "{"))):
+            raise ValueError(f"{word}: must be one name, or left out")
         if equals:
             types = {entry.name: entry.type for entry in list_fields(self.schema)}
             is_text = types.get(key) in (str, str | None)

@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 
 from fishrl.envs import Flows, KarmanGait
 from fishrl.envs.control import Bend
-from fishrl.programs import evaluate, summarize, train, train_lateral_line
+from fishrl.programs import evaluate, summarize, train, train_lateral_line, view
 from fishrl.programs.configuration import parse, quote, read_value
 from fishrl.training import Classifier, open_run
 from fishrl.training.checkpoint import Checkpoint
@@ -68,6 +68,18 @@ def test_malformed_overrides_are_one_line_errors(argument: str) -> None:
     with pytest.raises(ValueError, match=r"\w") as error:
         read([argument])
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("argument", ["preset=null", "logger=null", "preset=[quick]"])
+def test_group_is_one_name_or_left_out(argument: str) -> None:
+    with pytest.raises(ValueError, match=r"must be one name, or left out"):
+        read([argument])
+
+
+def test_second_word_without_key_is_refused() -> None:
+    for program in (summarize, view):
+        with pytest.raises(ValueError, match=r"runs/a.*, .*runs/b.*: must be one"):
+            program.main.read(["runs/a", "runs/b"])
 
 
 def write_yaml_file(folder: Path, group: str, text: str) -> str:
