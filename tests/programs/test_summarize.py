@@ -18,7 +18,7 @@ from fishrl.programs import summarize
 from fishrl.programs.statistics import find_improvement, find_interquartile_mean
 from fishrl.programs.summarize import average, tabulate_differences
 from fishrl.programs.sweeps.groups import group_runs
-from fishrl.programs.sweeps.runs import read_run, read_runs
+from fishrl.programs.sweeps.runs import advise, read_run, read_runs
 from fishrl.settings import describe
 from fishrl.training import Classifier
 from fishrl.training.run_folder import HeldError, RunFolder, write_yaml
@@ -195,6 +195,7 @@ def test_incomplete_runs_are_named(tmp_path: Path) -> None:
     (tmp_path / "gamma_2" / "failure.txt").write_text("gamma = 2: must be at most 1\n")
     with pytest.raises(ValueError, match=r"no run has begun\n.*\n.*gamma_2: .* must be at most 1"):
         summarize.summarize(tmp_path)
+    assert "fix the setting" not in advise([read_run(tmp_path / "gamma_3")])  # not begun yet
     run = write_run(tmp_path, "run")
     text = summarize.summarize(tmp_path)
     assert "fix the setting" in text and "| 0/1 | – | – |" in text

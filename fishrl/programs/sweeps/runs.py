@@ -106,7 +106,8 @@ def advise(runs: Sequence[Run], *, modules: Sequence[str] = ()) -> str:
         because = f" ({run.reason})" if run.reason else ""
         lines.append(f"- {run.path.name}: {run.status} at frame {run.frames}{because}")
         if not run.config:
-            lines.append("  fix the setting and repeat the command of the sweep")
+            fix = "fix the setting and " if run.reason else ""
+            lines.append(f"  {fix}repeat the command of the sweep")
         elif run.status != "running":
             lines.append(f"  rerun: {show_resume(run.path, modules)}")
     return "\n".join(lines)
