@@ -32,7 +32,7 @@ def test_stages_of_scale_are_valid_commands(name: str, tmp_path: Path) -> None:
     for stage in stages:
         program, *words = stage.words
         if words[0] == "--multirun":
-            (plan,) = [planned.settings for planned in plan_jobs(words[1:])]
+            (plan,) = [planned.settings for planned in plan_jobs(words[1:])[1]]
         else:
             package = "fishrl.programs" if program in list_programs() else "experiments"
             plan = import_module(f"{package}.{program.replace('-', '_')}").main.read(words)
@@ -42,7 +42,7 @@ def test_stages_of_scale_are_valid_commands(name: str, tmp_path: Path) -> None:
 
 def begin(words: Sequence[str]) -> Path:
     """Make the folder of the only run of a sweep."""
-    (stage,) = plan_jobs(words)
+    (stage,) = plan_jobs(words)[1]
     return make_run_folder(stage.settings).path
 
 

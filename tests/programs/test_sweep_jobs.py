@@ -64,16 +64,25 @@ def test_jobs_are_named_after_what_differs() -> None:
 
 def test_sweep_plans_jobs() -> None:
     line = ["flows.num_envs=2", "seed=0,1", "task.time_limit=range(3,5)", "folder=runs/my sweep"]
-    planned = [job.settings for job in plan_jobs(line)]
+    planned = [job.settings for job in plan_jobs(line)[1]]
     expected = [(f"seed_{s}-time_limit_{t}", s, 2, "runs/my sweep") for s in (0, 1) for t in (3, 4)]
     assert [(job.name, job.seed, job.flows.num_envs, job.folder) for job in planned] == expected
     files = [name for name in list_names("preset") if name.startswith("gait")]
-    assert len(plan_jobs(["preset=glob(gait*)"])) == len(files)
+    assert len(plan_jobs(["preset=glob(gait*)"])[1]) == len(files)
+
+
+def test_jobs_of_nested_lists_have_a_folder_each() -> None:
+    rows = "[[0.5,0.6,1.0,1.1,1.9,2.0]],[[0.5,0.6],[1.0,1.1],[1.9,2.0]],[[0.5,0.6]]"
+    launch, planned = plan_jobs(["task=karman_gait", f"task.control.rows={rows}"])
+    names = [str(job.settings.name) for job in planned]
+    assert len(set(names)) == 3 and names[2] == "rows_0.5_0.6_"
+    again = [launch.plan(job.words[:-1]) for job in planned]  # as in its own process
+    assert [job.words for job in again] == [job.words for job in planned]
 
 
 def test_words_of_job_give_its_settings() -> None:
     line = ["seed=0,1", "hidden=[8],[8,8]", "algorithm=dqn", "folder='a, b'"]
-    for job in plan_jobs(line):
+    for job in plan_jobs(line)[1]:
         assert describe(TRAINING.read(job.words)) == describe(job.settings)
         assert job.settings.folder == "a, b"
 
@@ -85,7 +94,7 @@ def test_command_line_overrides_sweep_of_experiment(tmp_path: Path) -> None:
     )
     line = [f"--config-dir={tmp_path}", "experiment=own"]
     for more, seeds in (([], (0, 1)), (["seed=3,4,5"], (3, 4, 5))):
-        paths = [job.path for job in plan_jobs([*line, *more])]
+        paths = [job.path for job in plan_jobs([*line, *more])[1]]
         assert paths == [Path(f"runs/own/seed_{seed}") for seed in seeds]
 
 
@@ -106,7 +115,7 @@ def test_invalid_job_is_refused_first(tmp_path: Path, arguments: list[str], said
 
 def begin(folder: Path, *words: str) -> Job:
     """Write a run that is to be trained, as its job does first."""
-    (job,) = plan_jobs([f"folder={folder}", *words])
+    (job,) = plan_jobs([f"folder={folder}", *words])[1]
     make_run_folder(job.settings)
     return job
 
@@ -118,14 +127,14 @@ def test_run_continues_only_with_same_settings(tmp_path: Path) -> None:
     assert open_run(first.settings).summary is None
     write_json(first.path / "summary.json", {"frames": 2800})
     assert open_run(first.settings).summary is not None
-    (longer,) = plan_jobs([f"folder={tmp_path}", "total_frames=3000", "port=9900"])
+    (longer,) = plan_jobs([f"folder={tmp_path}", "total_frames=3000", "port=9900"])[1]
     assert open_run(longer.settings).summary is None
-    (compared,) = plan_jobs([f"folder={tmp_path}", "baselines=[random]", "log_frames=8"])
+    (compared,) = plan_jobs([f"folder={tmp_path}", "baselines=[random]", "log_frames=8"])[1]
     assert open_run(compared.settings).summary is None  # it is evaluated again
-    (logged,) = plan_jobs([f"folder={tmp_path}", "log_frames=8"])
+    (logged,) = plan_jobs([f"folder={tmp_path}", "log_frames=8"])[1]
     assert open_run(logged.settings).summary is not None
     for word in ("gamma=0.5", "task.reynolds=500", "recognition=oracle", "algorithm=dqn"):
-        (other,) = plan_jobs([f"folder={tmp_path}", word])
+        (other,) = plan_jobs([f"folder={tmp_path}", word])[1]
         with pytest.raises(ValueError, match=rf"is .* in {first.path}; take another folder"):
             open_run(other.settings)
     with pytest.raises(SystemExit, match=r"gamma = 0\.5: is 0\.99 in .*run"):
@@ -139,7 +148,7 @@ def test_other_classifier_makes_another_run(tmp_path: Path) -> None:
     files[1].write_bytes(files[0].read_bytes())
     begin(tmp_path, f"recognition.path={files[0]}")
     for file, is_same in zip(files, (True, True, False), strict=True):
-        (job,) = plan_jobs([f"folder={tmp_path}", f"recognition.path={file}"])
+        (job,) = plan_jobs([f"folder={tmp_path}", f"recognition.path={file}"])[1]
         if is_same:
             assert open_run(job.settings).summary is None
         else:
@@ -227,7 +236,7 @@ def is_over(pid: int) -> bool:
 
 def test_job_of_killed_sweep_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a process of its own, as joblib's, which does not end with the sweep."""
-    (job,) = plan_jobs([f"folder={tmp_path}"])
+    (job,) = plan_jobs([f"folder={tmp_path}"])[1]
     files = [tmp_path / name for name in ("pid_of_job", "pid_of_run")]
 
     def start(*_: str, **options: Any) -> Any:
@@ -295,7 +304,7 @@ def test_job_of_another_sweep_in_the_same_folder_is_told_apart_in_any_phase(
 
     monkeypatch.setattr(jobs, "start_child", start)
     monkeypatch.setattr(jobs.time, "sleep", write if phase == "locked" else lambda _: None)
-    (other,), (job,) = (plan_jobs([f"folder={tmp_path}", f"gamma={g}"]) for g in (0.99, gamma))
+    (other,), (job,) = (plan_jobs([f"folder={tmp_path}", f"gamma={g}"])[1] for g in (0.99, gamma))
     with ExitStack() as stack:
         if phase != "before":
             other.path.mkdir()

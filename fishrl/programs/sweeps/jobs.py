@@ -15,9 +15,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -65,11 +66,16 @@ class Launch:
 
     options: tuple[str, ...]  #: words of every job, for its YAML files
     swept: frozenset[str]  #: keys that differ between jobs
+    shared: frozenset[str] = frozenset()  #: names that several jobs would have
+
+    def name(self, overrides: Sequence[str]) -> str:
+        """Return the name of the job with these overrides, after the swept ones."""
+        own = [line for line in overrides if line.partition("=")[0] in self.swept]
+        return _add_hash(name, str(own)) if (name := name_job(own)) in self.shared else name
 
     def plan(self, overrides: Sequence[str]) -> Job:
-        """Return the job with these overrides, named after the swept ones."""
-        name = name_job([line for line in overrides if line.partition("=")[0] in self.swept])
-        words = [*self.options, *overrides, f"name={name}"]
+        """Return the job with these overrides."""
+        words = [*self.options, *overrides, f"name={self.name(overrides)}"]
         return Job(TRAINING.read(words), words)
 
     def __call__(self, config: DictConfig) -> None:
@@ -86,12 +92,12 @@ class Launch:
 
 def sweep(arguments: Sequence[str]) -> None:
     """Run a sweep, report on its runs, and end the program with 1 unless all are finished."""
-    launch, jobs = _plan(arguments)
+    launch, jobs = plan_jobs(arguments)
     if (parent := jobs[0].settings.folder) == TRAINING.list_defaults()["folder"]:
         name = f"sweep-{time.strftime('%Y%m%d-%H%M%S')}"
         own = RunFolder.create(parent=parent, name=name).path  # no other sweep's of this second
         arguments = [*arguments, f"folder={quote(str(own))}"]
-        launch, jobs = _plan(arguments)
+        launch, jobs = plan_jobs(arguments)
     for job in jobs:
         open_run(job.settings)  # refuses settings that its run does not have
     folder = Path(jobs[0].settings.folder).expanduser()
@@ -111,17 +117,14 @@ def sweep(arguments: Sequence[str]) -> None:
     sys.exit(int(is_cut_off or any(run.status != "finished" for run in runs)))
 
 
-def plan_jobs(arguments: Sequence[str]) -> list[Job]:
-    """Return the jobs of a sweep in hydra's order; raise ValueError for wrong settings of any."""
-    return _plan(arguments)[1]
-
-
 def find_runs(arguments: Sequence[str]) -> list[Path]:
     """Return the folders of the runs of a sweep that have begun."""
-    return sorted(job.path for job in plan_jobs(arguments) if RunFolder(job.path).config.is_file())
+    paths = (job.path for job in plan_jobs(arguments)[1])
+    return sorted(path for path in paths if RunFolder(path).config.is_file())
 
 
-def _plan(arguments: Sequence[str]) -> tuple[Launch, list[Job]]:
+def plan_jobs(arguments: Sequence[str]) -> tuple[Launch, list[Job]]:
+    """Return the jobs of a sweep in hydra's order; raise ValueError for wrong settings of any."""
     overrides = TRAINING.prepare(arguments)
     own = [line for line in overrides if not re.match("hydra[./]", line)]
     swept = {each.input_line for each in parse(own) if each.is_sweep_override()}
@@ -146,7 +149,10 @@ def _plan(arguments: Sequence[str]) -> tuple[Launch, list[Job]]:
     folder = split_options(arguments).config_dir
     launch = Launch(() if folder is None else ("--config-dir", folder), keys)
     lines = [[f"{key}={value}" for value in values] for key, values in choices.items()]
-    return launch, [launch.plan(job) for job in itertools.product(*lines)]
+    every = [*itertools.product(*lines)]
+    names = Counter(map(launch.name, set(every)))
+    launch = replace(launch, shared=frozenset(name for name in names if names[name] > 1))
+    return launch, [launch.plan(job) for job in every]
 
 
 def name_job(overrides: Sequence[str]) -> str:
@@ -157,9 +163,11 @@ def name_job(overrides: Sequence[str]) -> str:
         last = key.removesuffix("._target_").rsplit(".", 1)[-1]
         parts.append(re.sub(r"[^A-Za-z0-9.+-]+", "_", f"{last}_{value}"))
     name = "-".join(parts) or "run"
-    if len(name) <= LONGEST_NAME:
-        return name
-    return f"{name[: LONGEST_NAME - 9]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+    return name if len(name) <= LONGEST_NAME else _add_hash(name, name)
+
+
+def _add_hash(name: str, of: str) -> str:
+    return f"{name[: LONGEST_NAME - 9]}-{hashlib.sha256(of.encode()).hexdigest()[:8]}"
 
 
 def run_job(job: Job) -> Run:
