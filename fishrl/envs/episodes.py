@@ -96,7 +96,8 @@ def run_episodes(
         on_frame: called ``frames_per_action`` times within a decision, at equal intervals, with the
             rows whose episode lasted up to this moment, and the ``FlowEnv``; without it,
             ``FlowEnv.on_frame`` stays.
-        on_episodes: called after each decision with the number of episodes that it ended.
+        on_episodes: called after each decision with the number of episodes that it ended, and at
+            last with the number of those that were stopped.
     """
     base, num_starts, num_rows = env.base_env, starts.shape[0], env.batch_size[0]
     act = policy if base.task.num_fish == 1 else EachFish(policy)
@@ -134,6 +135,8 @@ def run_episodes(
             start_of = start_of.masked_fill(start_of >= num_starts, -1)
             num_begun += int(is_done.sum())
             state, has_begun = env.maybe_reset(env.step_mdp(step)), is_done & (start_of >= 0)
+    if on_episodes is not None:
+        on_episodes(int((start_of >= 0).sum()))
     return tally.finish(traces)
 
 

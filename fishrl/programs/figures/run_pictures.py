@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
+from functools import partial
+from itertools import cycle
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -45,9 +47,8 @@ def record_run(
     """
     task = env.base_env.task
     scene = make_env_scene(env, settings, policy=folder.name)
-    flows, max_decisions = list(range(min(_MAX_FLOWS, len(starts)))), None
-    if scene.goal is None:
-        starts, max_decisions = starts[flows], count_decisions(task, _MAX_PERIODS)
+    flows, num_rows = list(range(min(_MAX_FLOWS, len(starts)))), env.batch_size[0]
+    max_decisions = None if scene.goal else count_decisions(task, _MAX_PERIODS)
     recordings = [Recording(scene=scene) for _ in range(len(starts))]
     drawing = start_drawing(
         scene,
@@ -57,21 +58,22 @@ def record_run(
     )
     with closing(drawing):
 
-        def give(start: int, frame: Frame) -> None:
-            recordings[start].frames.append(frame)
-            if start in flows:
-                drawing.draw(start, frame)
+        def give(first: int, start: int, frame: Frame) -> None:
+            recordings[first + start].frames.append(frame)
+            if first + start in flows:
+                drawing.draw(first + start, frame)
 
-        record_episodes(
-            env,
-            policy,
-            starts,
-            scene=scene,
-            give=give,
-            frames_per_T=settings.frames_per_T,
-            max_decisions=max_decisions,
-            on_episodes=on_episodes,
-        )
+        for first in range(0, len(starts), num_rows):  # after max_decisions no other one begins
+            record_episodes(
+                env,
+                policy,
+                starts[first : first + num_rows],
+                scene=scene,
+                give=partial(give, first),
+                frames_per_T=settings.frames_per_T,
+                max_decisions=max_decisions,
+                on_episodes=on_episodes,
+            )
     write_run_pictures(folder, recordings, baselines=baselines)
 
 
@@ -105,8 +107,11 @@ def write_trajectories(recordings: Sequence[Recording], path: Path) -> None:
     with panels(path, size=(9, 0.5 + 6.6 * y / x), has_grid=False) as [[axes]]:
         bodies = [curve for curve in scene.curves if curve.is_closed and curve.is_filled]
         for body in bodies[len(scene.trails) :]:  # after the fish
-            outline = recordings[0].stack_bl(body.key)[0].numpy()
-            axes.add_patch(Polygon(outline, closed=True, facecolor="0.45", lw=0))
+            outlines = [recording.stack_bl(body.key)[0].numpy() for recording in recordings]
+            is_one = all((outline == outlines[0]).all() for outline in outlines)
+            for outline, colour in zip(outlines, cycle(COLOURS), strict=False):
+                face, edge = ("0.45", "none") if is_one else ("none", colour)
+                axes.add_patch(Polygon(outline, closed=True, facecolor=face, edgecolor=edge))
         for number, recording in enumerate(recordings):
             _draw_trajectory(axes, recording, COLOURS[number % len(COLOURS)])
         axes.set(xlim=(0, x), ylim=(0, y), aspect="equal", title=scene.title)

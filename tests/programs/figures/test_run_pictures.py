@@ -16,15 +16,22 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from PIL import Image
 
-from fishrl.envs import Predation
+from fishrl.envs import Flows, Predation, make_env
 from fishrl.envs.scene import Curve as SceneCurve
 from fishrl.envs.scene import Ending, Frame
 from fishrl.envs.views import make_scene
 from fishrl.figure_style import STYLE
-from fishrl.programs.figures import learning_curve
+from fishrl.programs.figures import learning_curve, run_pictures
 from fishrl.programs.figures.learning_curve import Curve, write_learning_curve
-from fishrl.programs.figures.run_pictures import write_run_pictures, write_trajectories
-from fishrl.viewer import Recording, film
+from fishrl.programs.figures.run_pictures import (
+    record_run,
+    write_run_pictures,
+    write_trajectories,
+)
+from fishrl.training.evaluation import fixed_starts
+from fishrl.viewer import Recording, ViewerSettings, film
+from tests.envs.conftest import keep_straight
+from tests.programs.lateral_line.signals import make_task
 from tests.viewer import scenes
 
 METRICS = """frames,train/return,eval/mean_return,train/success_rate,train/loss_qvalue
@@ -81,6 +88,20 @@ def test_run_pictures_are_written(tmp_path: Path) -> None:
         assert 9 < picture.n_frames <= 9 + 15  # and its end is held
 
 
+def test_all_episodes_of_a_task_without_goal_are_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kinematic: None
+) -> None:
+    drawn, ended = list[Recording](), list[int]()
+    write = lambda folder, recordings, **_: drawn.extend(recordings)  # noqa: E731
+    monkeypatch.setattr(run_pictures, "write_run_pictures", write)
+    monkeypatch.setattr(run_pictures, "_MAX_PERIODS", 1.0)
+    env = make_env(task=make_task(), flows=Flows(num_envs=3, compile=False))
+    starts = fixed_starts(env.base_env.task, 4, seed=0)
+    given: dict[str, Any] = {"settings": ViewerSettings(), "baselines": {}}
+    record_run(tmp_path, env, keep_straight, starts, on_episodes=ended.append, **given)
+    assert len(drawn) == sum(ended) == 4 and all(recording.frames for recording in drawn)
+
+
 def test_paths_show_obstacles_and_endings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     figures, save = list[Figure](), Figure.savefig
 
@@ -90,19 +111,20 @@ def test_paths_show_obstacles_and_endings(tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(Figure, "savefig", note)
     square = torch.tensor([(80.0, 40.0), (90.0, 40.0), (90.0, 50.0), (80.0, 50.0)])
-    recording = make_recording()
-    recording.scene = dataclasses.replace(
-        recording.scene,
-        marks=(),
-        curves=(*recording.scene.curves, SceneCurve(key="post", colour=(9, 9, 9))),
-    )
-    recording.frames = [
-        dataclasses.replace(f, values={**f.values, "post": square}) for f in recording.frames
-    ]
-    write_trajectories([recording], tmp_path / "x.png")
+    recordings, posts = [make_recording(), make_recording(lane=3.0)], [square, square * 0.9]
+    for recording, post in zip(recordings, posts, strict=True):
+        recording.scene = dataclasses.replace(
+            recording.scene,
+            marks=(),
+            curves=(*recording.scene.curves, SceneCurve(key="post", colour=(9, 9, 9))),
+        )
+        recording.frames = [
+            dataclasses.replace(f, values={**f.values, "post": post}) for f in recording.frames
+        ]
+    write_trajectories(recordings, tmp_path / "x.png")
     (axes,) = figures[0].axes
     drawn = [patch.get_xy()[:4].tolist() for patch in axes.patches if isinstance(patch, Polygon)]
-    assert (square / 20.0).tolist() in drawn
+    assert all((post / 20.0).tolist() in drawn for post in posts)
     legend = axes.get_legend()
     words = " ".join(t.get_text() for t in (legend.get_title(), *legend.get_texts()))
     assert "4.0 T, caught" in words and "food" not in words
