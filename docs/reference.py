@@ -64,7 +64,8 @@ def write_reference(path: Path) -> None:
 
 def make_reference() -> str:
     """Return the page as Markdown."""
-    titles = {main.command_line.schema: name for name, main in find_programs().items()}
+    programs = reversed(find_programs().items())  # of one schema the first gives the title
+    titles = {main.command_line.schema: name for name, main in programs}
 
     def rank(kind: type) -> tuple[bool, str, int, str]:
         """Put tasks before their parts, and bases before what derives from them."""

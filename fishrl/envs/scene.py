@@ -92,7 +92,7 @@ class Area:
     key: str  #: its name
     low: tuple[float, float]  #: corner (x, y) in nodes
     high: tuple[float, float]  #: the opposite corner
-    colour: Colour = (200, 30, 40)  #: RGB colour of its border and of the strokes outside
+    colour: Colour = (200, 30, 40)  #: RGB colour of its border
 
 
 @dataclass(frozen=True, kw_only=True)

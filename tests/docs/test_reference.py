@@ -50,6 +50,11 @@ def test_documented_seeds_match_training() -> None:
         assert any(said in describe(base) for base in SCHEMAS[program].__mro__[:-2])
 
 
+def test_every_program_of_fishrl_has_a_section() -> None:
+    missing = [name for name in SCHEMAS if f"### {name}\n" not in read_page()]
+    assert not [name for name in missing if name.startswith("fishrl ")]
+
+
 def test_every_choice_is_listed() -> None:
     for group, names in TRAINING.list_choices().items():
         assert f"| `{group}=` | " + ", ".join(f"`{name}`" for name in names) in read_page()
