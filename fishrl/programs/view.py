@@ -170,12 +170,23 @@ def main(
         preset: name of a preset; only its task is used.
         **given: arguments of ``evaluate`` and ``ViewerSettings``.
     """
-    view = take(ViewerSettings, given)
-    opens = not (view.live or save or screenshot)
     if (recording is None) == (policy is None):
         raise ValueError("give either the path of a .rrd file or policy=<run folder or name>")
-    if recording is not None and (save or view.live):
-        raise ValueError("save and live: a recording is only opened; give policy=<run folder>")
+    given |= {"policy": policy, "episodes": episodes, "periods": periods}
+    given |= {"zoom": zoom, "seconds_per_T": seconds_per_T}
+    if recording is not None:
+        plain, chosen = main.list_defaults(), given | {"save": save}
+        if names := [name for name in chosen if chosen[name] != plain[name]]:
+            raise ValueError(
+                f"{', '.join(names)}: a recording is only opened; give policy=<run folder>"
+            )
+    if time is not None and screenshot is None:
+        raise ValueError(
+            f"time = {time:g}: of screenshot=<file.png>; save=<file.png> shows the last moment, "
+            f"periods={time:g}"
+        )
+    view = take(ViewerSettings, given)
+    opens = not (view.live or save or screenshot)
     num_shown = len(view.choose_flows(episodes, default=episodes))
     if save is not None and save.endswith(DRAWN):
         if num_shown > 1 or screenshot or view.live:
@@ -201,8 +212,6 @@ def main(
             url = None
             if view.live:
                 url = stack.enter_context(closing(Server(port=view.port))).url
-            given |= {"policy": policy, "episodes": episodes, "periods": periods}
-            given |= {"zoom": zoom, "seconds_per_T": seconds_per_T}
             with Progress() as progress:
                 endings = record(path, view=view, url=url, callback=progress, **given)
             for ending in endings:

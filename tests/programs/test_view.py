@@ -114,6 +114,11 @@ def test_recording_stays_if_viewer_fails(tmp_path: Path, monkeypatch: pytest.Mon
             r"save = .x\.avi.: must be a file that ends in one of \.rrd",
         ),
         (["policy=pid", "zoom=2", "save=x.rrd"], "error: zoom, seconds_per_T: of a film"),
+        (["policy=pid", "time=3", "save=x.png"], r"error: time = 3: of screenshot.* periods=3"),
+        (
+            ["x.rrd", "field=speed", "episodes=2", "periods=3", "task.reynolds=400", "seed=1"],
+            r"error: field, task, seed, episodes, periods: a recording is only opened",
+        ),
     ],
 )
 def test_errors_are_one_line(
