@@ -64,9 +64,10 @@ def check_fit(starts: TensorDictBase, fish: BodyConfig, flow: FlowConfig, *, mar
     if is_wrong.any():
         i = int(is_wrong.int().argmax())
         x, y = starts["head"].reshape(-1, 2)[i].tolist()
-        where = "is too near the edge" if clearance[i] >= 0.0 else "lies outside the domain"
+        where = "is too near the edge" if clearance[i] >= 0.0 else "lies outside the water"
+        (left, bottom), (right, top) = flow.edges
         raise ValueError(
             f"start {i * len(outlines) // len(every)}, head at ({x:g}, {y:g}): the fish, or a part "
-            f"of it, {where}; it must keep {margin:g} nodes from the edges of [0, "
-            f"{flow.width - 1}] x [0, {flow.height - 1}], move it in"
+            f"of it, {where}; it must keep {margin:g} nodes from the edges of [{left:g}, "
+            f"{right:g}] x [{bottom:g}, {top:g}], move it in"
         )

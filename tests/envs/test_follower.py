@@ -46,6 +46,14 @@ def test_reward_is_the_efficiency_or_minus_10_on_failure() -> None:
         assert earn(**end) == [0.0, -10.0]
 
 
+def test_start_in_the_sponge_is_told_where_the_water_ends() -> None:
+    task = Follower(levels=2)
+    starts = task.sample_starts(1, torch.Generator())
+    starts["head"][:, 0] = task.flow_config().width - 3.0
+    with pytest.raises(ValueError, match=r"edges of \[0, 176\] x \[0, 96\], move it in"):
+        task.check_starts(starts)
+
+
 @pytest.mark.usefixtures("kinematic")
 def test_contact_ends_the_episode_before_fish_overlap() -> None:
     task = Follower(**TINY, start_y_bl=(0.0, 0.0), start_degrees=0.0)

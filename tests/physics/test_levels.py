@@ -308,5 +308,6 @@ def test_patch_that_stays_ends_where_bodies_must(levels):
     assert [n + reach for n in low] == list(config.body_bounds[0])
     assert [n - reach for n in high] == list(config.body_bounds[1])
     assert config.edges == ((0, 0), (320 - 24, 160))
-    with pytest.raises(ValueError, match="away from edges and sponges"):
-        replace(config, patches=(Patch.between((310.0, 0.0), (320.0, 50.0)),)).list_grids()
+    for outside in (Patch.between((310.0, 0.0), (320.0, 50.0)), Patch(centre=(999.0, 50.0))):
+        with pytest.raises(ValueError, match="away from edges and sponges"):
+            replace(config, patches=(outside,)).list_grids()

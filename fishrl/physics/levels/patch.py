@@ -81,11 +81,11 @@ def fit_patch(patch: Patch, num_bodies: int, num_levels: int, bounds: Bounds) ->
     patch = replace(
         patch, bodies=tuple(range(num_bodies)) if patch.bodies is None else patch.bodies
     )
-    if patch.size is None or patch.centre is None:
+    if patch.centre is None:
         return patch
     unit, least = 2 ** (num_levels - 1), inset(0, num_levels)
-    sides = []
-    for at, size, first, last in zip(patch.centre, patch.size, *bounds, strict=True):
+    sides, given = [], patch.size or (LEAST_SIDE, LEAST_SIDE)
+    for at, size, first, last in zip(patch.centre, given, *bounds, strict=True):
         ends = max(at - 0.5 * size, unit * first + least), min(at + 0.5 * size, unit * last - least)
         if ends[1] - ends[0] < LEAST_SIDE:
             raise ValueError(
@@ -94,6 +94,8 @@ def fit_patch(patch: Patch, num_bodies: int, num_levels: int, bounds: Bounds) ->
                 "domain"
             )
         sides.append(ends)
+    if patch.size is None:
+        return patch
     (left, right), (bottom, top) = sides
     return replace(Patch.between((left, bottom), (right, top)), bodies=patch.bodies)
 
