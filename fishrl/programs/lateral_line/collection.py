@@ -78,8 +78,8 @@ class CollectionSettings(Settings):
     def place(self) -> Path:
         """Folder of the data, named by a hash of everything that determines them."""
         task = self.recorded_task
-        settings = (task, self.flows.num_envs, self.max_decisions, self.seed)
-        key = make_key(*settings, identify_for_file(task), hash_sources(*_SOURCES), torch.__version__)
+        settings = (self.flows.num_envs, self.max_decisions, self.seed, identify_for_file(task))
+        key = make_key(task, *settings, hash_sources(*_SOURCES), torch.__version__)
         return Path(self.data_folder).expanduser() / key
 
 
