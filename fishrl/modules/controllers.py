@@ -3,9 +3,10 @@
 They are baselines and read the same TensorDict as a learned policy: a stack of observations
 ``[x and y of the food from the head, distance, bearing error]``, oldest first, lengths in body
 lengths (``_bl``), angles in radians, positive counter-clockwise; and write one of three actions:
-0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise; or the two numbers of a continuous
-action: the turn, proportional to its largest one, and the highest tail-beat frequency. The control
-interval is one tail beat (``_T``) of a fish at full speed.
+0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise, or 3 b + this with the last legal
+action b of the tail beat; or the numbers of a continuous action: the turn, proportional to its
+largest one, and the highest tail-beat frequency and amplitude. The control interval is one tail
+beat (``_T``) of a fish at full speed.
 """
 
 import math
@@ -15,6 +16,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from torch.nn.functional import pad
 
 CLOCKWISE, KEEP, COUNTER_CLOCKWISE = 0, 1, 2
 #: Numbers in one observation.
@@ -59,7 +61,7 @@ class _TurningPolicy(TensorDictModuleBase):
     Args:
         turn: heading change of one action in radians; the largest one of a continuous action. Of a
             fish that bends, the angle to turn by for which it bends most.
-        is_continuous: whether actions are.
+        num_numbers: numbers in a continuous action; None for discrete actions.
         yaw_damping_T: angle to turn by less for each radian per T at which the fish turns. Unless
             0, the yaw rate is observed just before the food, the last of the fish's own motion.
     """
@@ -68,13 +70,13 @@ class _TurningPolicy(TensorDictModuleBase):
         self,
         *,
         turn: float = math.radians(15.0),
-        is_continuous: bool = False,
+        num_numbers: int | None = None,
         yaw_damping_T: float = 0.0,
     ) -> None:
         super().__init__()
-        self.turn, self.is_continuous, self.yaw_damping_T = turn, is_continuous, yaw_damping_T
+        self.turn, self.num_numbers, self.yaw_damping_T = turn, num_numbers, yaw_damping_T
         self.in_keys, self.out_keys = ["observation_stack"], ["action"]
-        if not is_continuous:
+        if num_numbers is None:
             self.in_keys.append("action_mask")
 
     @abstractmethod
@@ -84,21 +86,22 @@ class _TurningPolicy(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``action``: the turn, at most ``turn``, at full speed.
 
-        The first legal action stands in for an illegal one.
+        Where no action to this side is legal, the last legal one stands in.
         """
         angle = self.aim(tensordict)
         if self.yaw_damping_T:
             yaw_rate = tensordict["observation_stack"][..., -NUM_FEATURES - 1]
             angle = angle - self.yaw_damping_T * yaw_rate
-        if self.is_continuous:
-            share = (angle / self.turn).clamp(-1.0, 1.0)
-            return tensordict.set("action", torch.stack((share, torch.ones_like(share)), -1))
-        action = torch.full_like(angle, KEEP, dtype=torch.int64)
-        action[angle > 0.5 * self.turn] = COUNTER_CLOCKWISE
-        action[angle < -0.5 * self.turn] = CLOCKWISE
+        if self.num_numbers is not None:
+            share = (angle / self.turn).clamp(-1.0, 1.0).unsqueeze(-1)
+            return tensordict.set("action", pad(share, (0, self.num_numbers - 1), value=1.0))
+        side = torch.full_like(angle, KEEP, dtype=torch.int64)
+        side[angle > 0.5 * self.turn] = COUNTER_CLOCKWISE
+        side[angle < -0.5 * self.turn] = CLOCKWISE
         mask = tensordict["action_mask"]
-        is_legal = mask.gather(-1, action.unsqueeze(-1)).squeeze(-1)
-        return tensordict.set("action", torch.where(is_legal, action, mask.int().argmax(-1)))
+        rank = torch.arange(1, mask.shape[-1] + 1, device=mask.device)
+        turns = (rank - 1) % 3 == side.unsqueeze(-1)
+        return tensordict.set("action", (mask * rank * (1 + mask.shape[-1] * turns)).argmax(-1))
 
 
 class PursuitPolicy(_TurningPolicy):
@@ -108,7 +111,7 @@ class PursuitPolicy(_TurningPolicy):
 
     Args:
         turn: heading change of one action in radians; the largest one of a continuous action.
-        is_continuous: whether actions are.
+        num_numbers: numbers in a continuous action; None for discrete actions.
     """
 
     def aim(self, tensordict: TensorDictBase) -> Tensor:
@@ -131,7 +134,7 @@ class InterceptPolicy(_TurningPolicy):
         speed_bl: cruising speed of the fish, L / T.
         turn_radius_bl: radius of its tightest turn.
         turn: see ``PursuitPolicy``.
-        is_continuous: see ``PursuitPolicy``.
+        num_numbers: see ``PursuitPolicy``.
     """
 
     def __init__(
@@ -140,10 +143,10 @@ class InterceptPolicy(_TurningPolicy):
         speed_bl: float = 0.4,
         turn_radius_bl: float = 1.7,
         turn: float = math.radians(15.0),
-        is_continuous: bool = False,
+        num_numbers: int | None = None,
         yaw_damping_T: float = 0.0,
     ) -> None:
-        super().__init__(turn=turn, is_continuous=is_continuous, yaw_damping_T=yaw_damping_T)
+        super().__init__(turn=turn, num_numbers=num_numbers, yaw_damping_T=yaw_damping_T)
         self.in_keys.append("food_ahead")
         self.speed_bl, self.turn_radius_bl = speed_bl, turn_radius_bl
 

@@ -12,6 +12,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from torch.nn.functional import pad
 
 #: Maps what a policy reads, ``[B]``, and the flow label ``[B]``, an index, to the commanded
 #: frequency ``[B]`` in beats per T, float64; may be infinite.
@@ -133,7 +134,8 @@ class GaitPolicy(TensorDictModuleBase):
             ends are the range of a continuous action.
         is_direct: actions are indices into the only row; otherwise decelerate (0), cruise (1) or
             accelerate (2) from the current ``gear``.
-        is_continuous: the action is the frequency itself, mapped to [-1, 1].
+        num_numbers: numbers in a continuous action: the bend, if any, the frequency, mapped to
+            [-1, 1], and others, kept at their largest; None for discrete actions.
         flow_key: key of the row to use: ``flow_index``, or the predicted ``flow_class``.
     """
 
@@ -144,13 +146,12 @@ class GaitPolicy(TensorDictModuleBase):
         course: Callable[[TensorDictBase], Tensor] | None = None,
         rows: Sequence[Sequence[float]],
         is_direct: bool = False,
-        is_continuous: bool = False,
+        num_numbers: int | None = None,
         flow_key: str = "flow_index",
     ) -> None:
         super().__init__()
         self.controller, self.is_direct, self.flow_key = controller, is_direct, flow_key
-        self.course = course
-        self.is_continuous = is_continuous
+        self.course, self.num_numbers = course, num_numbers
         self.in_keys = ["place", "drift", *_HEADING, "is_init", "gear", flow_key]
         self.out_keys = ["action"]
         self.rows = torch.tensor(rows, dtype=torch.float64)
@@ -161,11 +162,12 @@ class GaitPolicy(TensorDictModuleBase):
         flow = tensordict[self.flow_key].reshape(batch).round().long()  # or a mean label
         rows = self.rows.to(flow.device)
         wanted = self.controller(tensordict, flow).clamp(rows.min(), rows.max())
-        if self.is_continuous:
+        if self.num_numbers is not None:
             share = (wanted - rows.min()) / (rows.max() - rows.min())
             bend = [] if self.course is None else [self.course(tensordict)]
-            action = torch.stack((*bend, 2.0 * share - 1.0), -1)
-            return tensordict.set("action", action.float())
+            action = torch.stack((*bend, 2.0 * share - 1.0), -1).float()
+            more = self.num_numbers - action.shape[-1]
+            return tensordict.set("action", pad(action, (0, more), value=1.0))
         row = rows[0].expand(*batch, -1) if self.is_direct else rows[flow]
         action = (row - wanted[..., None]).abs().argmin(-1)
         if not self.is_direct:

@@ -114,11 +114,19 @@ def make_baseline(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
 @baseline("random", object)
 def make_random(task: Any, seed: int) -> RandomPolicy:
     """Make random actions, a baseline of every task."""
-    num_numbers = None if task.action_bounds is None else task.num_actions
-    return RandomPolicy(seed=seed, num_numbers=num_numbers)
+    return RandomPolicy(seed=seed, num_numbers=_count_numbers(task))
 
 
-@baseline("pursuit", Predation, PredationPair)
+def _count_numbers(task: Any) -> int | None:
+    """Return how many numbers a continuous action has, None for discrete actions."""
+    return None if task.action_bounds is None else task.num_actions
+
+
+def _steers(task: Predation | PredationPair) -> bool:
+    return task.bends or task.control.largest_turn > 0.0
+
+
+@baseline("pursuit", Predation, PredationPair, fits=_steers)
 def make_pursuit(task: Any, seed: int) -> PursuitPolicy:
     """Make pursuit of the food; each of two fish acts as if the other were not there."""
     return PursuitPolicy(**_choose_steering(task))
@@ -140,7 +148,7 @@ IMMERSED = (Swimmer(50, 0.4, 1.7),)  # with the immersed boundary
 BENDING = (Swimmer(32, 0.4, 2.5),)  # by 0.3 L
 
 
-@baseline("intercept", Predation)
+@baseline("intercept", Predation, fits=_steers)
 def make_intercept(task: Any, seed: int) -> InterceptPolicy:
     """Make interception of the food, whose path the task reports, by a fish of nearest length."""
     known = SHARP if task.skin == BounceBack() else IMMERSED
@@ -152,11 +160,10 @@ def make_intercept(task: Any, seed: int) -> InterceptPolicy:
 def _choose_steering(task: Predation | PredationPair) -> dict[str, Any]:
     """Return how to turn; a fish that bends needs the gains of ``KeepCourse``."""
     turn, damping = (1.0 / 3.0, 0.1) if task.bends else (task.control.largest_turn, 0.0)
-    is_continuous = task.action_bounds is not None
-    return {"turn": turn, "yaw_damping_T": damping, "is_continuous": is_continuous}
+    return {"turn": turn, "yaw_damping_T": damping, "num_numbers": _count_numbers(task)}
 
 
-@baseline("keep_place", Follower)
+@baseline("keep_place", Follower, fits=lambda task: task.control.largest_bend > 0.0)
 def make_keep_place(task: Follower, seed: int) -> KeepPlace:
     """Make the controller that keeps a place in line behind the leader."""
     (low, *_, high), num_actions = task.control.rows[0], task.num_actions
@@ -164,26 +171,36 @@ def make_keep_place(task: Follower, seed: int) -> KeepPlace:
     return KeepPlace(bend_bl=bend_bl, frequency_range=(low, high), num_actions=num_actions)
 
 
-@baseline("shedding", KarmanGait, fits=lambda task: task.stream.has_disc, is_default=False)
+def _beats(task: KarmanGait) -> bool:
+    """Return whether actions choose the tail beat and perhaps a bend, but no turn."""
+    return not task.control.largest_turn
+
+
+@baseline(
+    "shedding",
+    KarmanGait,
+    fits=lambda task: task.stream.has_disc and _beats(task),
+    is_default=False,
+)
 def make_shedding(task: Any, seed: int) -> GaitPolicy:
     """Make a fish that beats at the shedding frequency of each flow; develops the wakes."""
     frequencies = task.wakes.shedding_frequencies * task.scales.period
     return make_gait_policy(FixedFrequency(frequencies.tolist()), task)
 
 
-@baseline("bang_bang", KarmanGait, is_default=False)
+@baseline("bang_bang", KarmanGait, fits=_beats, is_default=False)
 def make_bang_bang(task: KarmanGait, seed: int) -> GaitPolicy:
     """Make the controller that beats as fast as possible or not at all."""
     return make_gait_policy(bang_bang, task)
 
 
-@baseline("passive", KarmanGait, is_default=False)
+@baseline("passive", KarmanGait, fits=_beats, is_default=False)
 def make_passive(task: KarmanGait, seed: int) -> GaitPolicy:
     """Make a fish that does not beat, as far as its actions allow."""
     return make_gait_policy(FixedFrequency(0.0), task)
 
 
-@baseline("pid", KarmanGait)
+@baseline("pid", KarmanGait, fits=_beats)
 def make_pid(task: KarmanGait, seed: int = 0, *, station_bl: float | Tensor = 2.1) -> GaitPolicy:
     """Make a PID controller of the distance to the obstacle, with setpoints ``[B]`` or one."""
     control = task.control
@@ -233,6 +250,6 @@ def make_gait_policy(controller: FrequencyController, task: KarmanGait) -> GaitP
         course=KeepCourse(interval_T=task.interval_T) if control.largest_bend else None,
         rows=_list_rows(task),
         is_direct=control.num_flows is None,
-        is_continuous=control.action_bounds is not None,
+        num_numbers=_count_numbers(task),
         flow_key="flow_class" if task.reads_flow_class else "flow_index",
     )

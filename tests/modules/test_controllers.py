@@ -76,7 +76,7 @@ def test_controllers_turn_towards_still_food_at_any_heading(
     illegal = td.clone()
     illegal["action_mask"][0, action] = False
     assert kind()(illegal)["action"].tolist() != [action]
-    turn = kind(is_continuous=True)(td.exclude("action_mask"))["action"]
+    turn = kind(num_numbers=2)(td.exclude("action_mask"))["action"]
     share = max(-1.0, min(1.0, error / TURN))
     assert turn.abs().max() <= 1.0 and turn[0, 0] * error > 0
     if kind is PursuitPolicy:

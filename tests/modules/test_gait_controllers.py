@@ -47,7 +47,7 @@ def test_direct_actions_are_nearest_and_continuous_ones_clamped() -> None:
     policy = GaitPolicy(controller=FixedFrequency(1.2), rows=ROWS[:1], is_direct=True)
     assert act(policy, see([1.5, 3.0], gear=0, flow=1)) == [1, 1]
     asked = [0.0, 0.5, 1.0, 9.0]
-    policy = GaitPolicy(controller=FixedFrequency(asked), rows=[(0.5, 1.5)], is_continuous=True)
+    policy = GaitPolicy(controller=FixedFrequency(asked), rows=[(0.5, 1.5)], num_numbers=1)
     given = [policy(see([1.5], flow=flow))["action"].tolist() for flow in range(4)]
     assert given == [[[-1.0]], [[-1.0]], [[0.0]], [[1.0]]]
 
@@ -78,11 +78,11 @@ def test_integral_is_bounded_and_restarts_with_each_episode() -> None:
     assert want(True) == pytest.approx(1.25)
 
 
-@pytest.mark.parametrize("is_continuous", [False, True])
-def test_course_keeping_bends_towards_centreline_and_upstream(is_continuous: bool) -> None:
-    rows = [(0.5, 1.5)] if is_continuous else ROWS
+@pytest.mark.parametrize("num_numbers", [None, 2])
+def test_course_keeping_bends_towards_centreline_and_upstream(num_numbers: int | None) -> None:
+    rows = [(0.5, 1.5)] if num_numbers else ROWS
     policy = GaitPolicy(
-        controller=FixedFrequency(1.0), course=KeepCourse(), rows=rows, is_continuous=is_continuous
+        controller=FixedFrequency(1.0), course=KeepCourse(), rows=rows, num_numbers=num_numbers
     )
     seen = see([1.5] * 5)
     seen["place"][:, 1] = torch.tensor([0.0, 1.0, -1.0, 0.0, 0.0])  # upstream is -x, right is +y
@@ -90,7 +90,7 @@ def test_course_keeping_bends_towards_centreline_and_upstream(is_continuous: boo
     seen["yaw_rate"] = torch.tensor([0.0, 0.0, 0.0, 0.0, -9.0])[:, None].double()
     bends = [0, 1, -1, -1, 1]
     given = policy(seen)["action"]
-    if is_continuous:
+    if num_numbers:
         assert given.tolist() == [[bend, 0.0] for bend in bends]
     else:
         assert given.tolist() == [3 * 1 + 1 + bend for bend in bends]
