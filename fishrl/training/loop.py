@@ -111,21 +111,34 @@ class Training:
             ChildProcessError: if a process of the flows dies; see ``runs.complete``.
             CheckpointNotWritten: if the first or the last checkpoint cannot be written.
         """
-        env = self.collector.env
+        env, frames = self.collector.env, self.counters.frames
         self._held.callback(self.logger.close)
         self._held.callback(self.callbacks.on_close)
-        self.callbacks.on_begin(env)
-        columns = list_metrics(self.learner.reports, name_counted(env), name_terms(env))
-        frames, config = self.counters.frames, self.plan.to_config()
-        self.logger.open(self.folder.path, columns=columns, config=config, step=frames)
         if frames == 0:
             self._save(self.folder.last)
+            self._try_baselines()
+        self.callbacks.on_begin(env)
+        columns = list_metrics(self.learner.reports, name_counted(env), name_terms(env))
+        config = self.plan.to_config()
+        self.logger.open(self.folder.path, columns=columns, config=config, step=frames)
         try:
             self._learn()
         except Interrupted:
             self._save(self.folder.last)
             raise
         return self._finish()
+
+    def _try_baselines(self) -> None:
+        """Let each baseline decide once, so that one that fails does so before the training."""
+        starts = fixed_starts(self.task, 1, seed=FINAL_SEED)
+        with self.collector.lend_env() as env:
+            for name in self.opened.baselines:
+                try:
+                    policy = make_baseline(name, task=self.task, seed=FINAL_SEED)
+                    run_episodes(env, self._make_interruptible(policy), starts, max_decisions=1)
+                except Exception as error:
+                    error.add_note(f"in baseline {name!r}: mend it, or leave it out of baselines")
+                    raise
 
     def _learn(self) -> None:
         """Collect, store and update until ``total_frames``; evaluate, log and save when due."""

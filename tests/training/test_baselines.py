@@ -29,6 +29,8 @@ from fishrl.envs.streams import Stream
 from fishrl.modules import RandomPolicy
 from fishrl.training.baselines import baseline, choose_baselines, find_baselines, make_baseline
 from tests.envs.conftest import SMALL
+from tests.training.conftest import QUICK, Toy
+from tests.training.toy_fish import ToyPredation
 
 BEATS: list[Control] = [
     Steady(),
@@ -92,3 +94,14 @@ def test_default_baselines_act_legally_or_are_left_out(kind: type[AbstractTask])
                 state = env.step_mdp(env.step(act(state)))
             frequency = float(env.base_env.solver.body.frequency) * task.scales.period
             assert kind in (KarmanGait, Follower) or frequency == pytest.approx(1.0)
+
+
+def test_training_tries_its_baselines_before_it_learns(toy: Toy) -> None:
+    @baseline("far", ToyPredation, is_default=False)
+    def make_far(task: ToyPredation, seed: int) -> RandomPolicy:
+        return RandomPolicy(seed=seed, num_numbers=9)
+
+    training = toy.begin(**QUICK | {"baselines": ("random", "far")})
+    with pytest.raises((RuntimeError, ValueError)) as caught:
+        training.run()
+    assert "'far'" in caught.value.__notes__[0] and training.counters.frames == 0
