@@ -9,8 +9,11 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from typing import Any
 from urllib.parse import quote
+
+import psutil
 
 from fishrl.children import make_environment, start_child
 
@@ -35,20 +38,31 @@ class Viewer:
 
     def __init__(self, *options: str, port: int) -> None:
         self._options = options
-        self.port = find_port(port)
-        self.url = f"rerun+http://{HOST}:{self.port}/proxy"
+        while True:
+            self.port = find_port(port)
+            self.web_port = find_port(self.port + 1)
+            self.url = f"rerun+http://{HOST}:{self.port}/proxy"
+            if self._start():
+                return
+            if find_port(self.port) == self.port:
+                raise ValueError(self.explain_failure())
+            port = self.web_port + 1  # another program took the port meanwhile
+
+    def _start(self) -> bool:
+        """Start rerun; return whether it listens."""
+        ports = ("--port", str(self.port), "--web-viewer-port", str(self.web_port))
         self._process = start_child(
             "import rerun_cli.__main__ as r, sys; sys.exit(r.main())",
-            *("--bind", HOST, "--port", str(self.port), *options),
+            *("--bind", HOST, *ports, *self._options),
             **_SILENT,
         )
         deadline = time.monotonic() + _PATIENCE_S
         while time.monotonic() < deadline and self.is_running:
             if self._listens():
-                return
+                return True
             time.sleep(0.05)
         self.close()
-        raise ValueError(self.explain_failure())
+        return False
 
     @property
     def is_running(self) -> bool:
@@ -65,17 +79,20 @@ class Viewer:
 
     def close(self) -> None:
         """End rerun and wait until its port is free."""
+        has_port = self._listens()
         self._process.communicate()  # rerun ends when its standard input is closed
         deadline = time.monotonic() + _PATIENCE_S
-        while self._listens() and time.monotonic() < deadline:
+        while has_port and find_port(self.port) != self.port and time.monotonic() < deadline:
             time.sleep(0.05)
 
     def _listens(self) -> bool:
-        try:
-            socket.create_connection((HOST, self.port), timeout=0.5).close()
-        except OSError:
-            return False
-        return True
+        """Return whether rerun, and not another program, listens on the port."""
+        with suppress(psutil.Error):  # it has ended
+            for program in psutil.Process(self._process.pid).children():
+                for one in program.net_connections("tcp"):
+                    if one.status == psutil.CONN_LISTEN and one.laddr.port == self.port:
+                        return True
+        return False
 
 
 class Server(Viewer):
@@ -93,11 +110,8 @@ class Server(Viewer):
     """
 
     def __init__(self, *, port: int = 9876) -> None:
-        port = find_port(port)
-        web_port = find_port(port + 1)
-        options = ("--serve-web", "--web-viewer-port", str(web_port))
-        super().__init__(*options, "--server-memory-limit", "512MB", port=port)
-        self.page = f"http://{HOST}:{web_port}?url={quote(self.url, safe='')}"
+        super().__init__("--serve-web", "--server-memory-limit", "512MB", port=port)
+        self.page = f"http://{HOST}:{self.web_port}?url={quote(self.url, safe='')}"
         if has_screen():
             open_window("--bind", HOST, "--port", "auto", "--connect", self.url)
         words = "live on this machine: a window by `python -m rerun --connect %s`, a browser by %s"

@@ -74,6 +74,17 @@ def test_taken_ports_are_skipped() -> None:
         assert first < find_port(first) < first + 100
 
 
+def test_viewers_started_at_once_share_no_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    with closing(Server(port=29550)) as first:
+        seemed_free = [first.port]
+        monkeypatch.setattr(
+            "fishrl.viewer.process.find_port",
+            lambda port: seemed_free.pop() if seemed_free else find_port(port),
+        )
+        with closing(Viewer("--serve-web", port=first.port)) as other:
+            assert other.is_running and other.port != first.port
+
+
 def test_viewer_that_cannot_start_is_an_error() -> None:
     with pytest.raises(ValueError, match=r"rerun does not run on port .* with --no-such"):
         Viewer("--no-such-option", port=29500)
