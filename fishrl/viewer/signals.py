@@ -16,9 +16,9 @@ from fishrl.viewer.fields import CONVENTIONS, describe_unit
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Units of columns by the last word of their names; others are velocities.
+#: Units of columns by the last word of their names, ux and uy for u_x and u_y; others are velocities.
 _UNITS = {
-    "bl": "L", "bend": "1/L", "frequency": "1/T", "pressure": "rho L2/T2", "p": "rho L2/T2",
+    "bl": "L", "bend": "L", "frequency": "1/T", "pressure": "rho L2/T2", "p": "rho L2/T2",
     "t": "T", "x": "L", "y": "L", "shear": "1/T",
 }  # fmt: skip
 
@@ -27,9 +27,9 @@ def read_signals(env: FlowEnv) -> dict[str, Tensor]:
     """Return the present row of the table of B flows, ``[B]`` by name of the column.
 
     Columns: ``time_T``; nose ``x_bl``, ``y_bl``, from the lower left corner; ``heading_degrees``,
-    counter-clockwise from +x; ``bend``, curvature of the bent midline times L; ``frequency``, beats
-    per T. For each neuromast its place and its features, ``nose_x_bl``, ``right_1_pressure``, or
-    ``mean_pressure`` of an average; units are those of ``LateralLine``.
+    counter-clockwise from +x; ``bend``, deflection of the tail in L, positive for a turn to the
+    left; ``frequency``, beats per T. For each neuromast its place and its features, ``nose_x_bl``,
+    ``right_1_pressure``, or ``mean_pressure`` of an average; units are those of ``LateralLine``.
     """
     task, solver = env.task, env.solver
     body, length = solver.body, task.scales.body_length
@@ -39,7 +39,7 @@ def read_signals(env: FlowEnv) -> dict[str, Tensor]:
         "x_bl": nose[:, 0],
         "y_bl": nose[:, 1],
         "heading_degrees": torch.rad2deg(body.heading + body.internal_angle),
-        "bend": body.bend,
+        "bend": -body.bend,
         "frequency": body.frequency * task.scales.period,
     }
     felt = find_extension(task, HasHistory).sense(solver, env.start).get("sensed")
@@ -66,7 +66,8 @@ def make_table(columns: Mapping[str, Tensor], *, about: Mapping[str, str | float
 
     parts = {}
     for name, column in columns.items():
-        words, unit = name.replace("_", " ").removesuffix(" bl"), name.rpartition("_")[2]
+        words = name.replace("_", " ").removesuffix(" bl")
+        unit = name.replace("u_", "u").rpartition("_")[2]
         notes = describe_unit(words, _UNITS.get(unit, "L/T"))
         if unit == "degrees":
             notes = {"units": "degree", "long_name": "heading, counter-clockwise from +x"}

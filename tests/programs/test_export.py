@@ -14,10 +14,15 @@ import pytest
 from matplotlib.path import Path as Polygon
 from torchrl.data.datasets.minari_data import MinariExperienceReplay
 
+from fishrl.envs import Flows, KarmanGait, make_env
+from fishrl.envs.control import Bend
+from fishrl.envs.lateral_line import LateralLine
 from fishrl.programs import export, export_data
 from fishrl.programs.export_policy import send
 from fishrl.viewer.fields import write_netcdf, write_vtk, write_zarr
+from fishrl.viewer.signals import make_table, read_signals
 from fishrl.zoo import find_policy
+from tests.envs.conftest import SMALL
 
 TINY = [
     "policy=pursuit", "flows.compile=false", "periods=1", "frames_per_T=2", "task.body_length=16",
@@ -113,6 +118,21 @@ def test_table_has_a_line_per_moment_and_columns_of_each_neuromast(tmp_path: Pat
         assert read["heading_degrees"].attrs["units"] == "degree"
         assert read["left_2_pressure"].attrs["long_name"] == "left 2 pressure, in rho L2/T2"
         assert read.attrs["Conventions"] == "CF-1.11" and read.attrs["policy"] == "pid"
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_signals_have_their_units_and_sign() -> None:
+    line = LateralLine(features=("x", "u_x", "u_y", "p"), is_averaged=True)
+    task = KarmanGait(**SMALL, lateral_line=line, control=Bend(bend_bl=0.05))
+    env = make_env(task=task, flows=Flows(num_envs=1, compile=False))
+    env.reset()
+    env.base_env.solver.body.bend.fill_(-0.05)  # the tail is on the left
+    row = read_signals(env.base_env)
+    assert float(row["bend"]) == pytest.approx(0.05)
+    table = make_table(row, about={})
+    names = ("bend", "frequency", "nose_y_bl", "mean_x", "mean_u_x", "mean_u_y", "mean_p")
+    units = [table[name].attrs["long_name"].rpartition("in ")[2] for name in names]
+    assert units == ["L", "1/T", "L", "L", "L/T", "L/T", "rho L2/T2"]
 
 
 def test_vtk_reads_the_flow_and_the_bodies(flow: Any, tmp_path: Path) -> None:
