@@ -16,7 +16,8 @@ from fishrl.viewer.fields import CONVENTIONS, describe_unit
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Units of columns by the last word of their names, ux and uy for u_x and u_y; others are velocities.
+#: Units of columns by the last word of their names, where u_x and u_y are one; others are
+#: velocities.
 _UNITS = {
     "bl": "L", "bend": "L", "frequency": "1/T", "pressure": "rho L2/T2", "p": "rho L2/T2",
     "t": "T", "x": "L", "y": "L", "shear": "1/T",
