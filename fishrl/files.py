@@ -40,7 +40,7 @@ def find_cache(name: str) -> Path | None:
 
 def check_folder(path: str | os.PathLike[str]) -> Path:
     """Return the path of a file to write; raise OSError if it cannot be written."""
-    target = Path(path)
+    target = Path(path).expanduser()
     folder = target.absolute().parent
     if not folder.is_dir():
         raise FileNotFoundError(f"no folder {target.parent}: make it first")
@@ -58,7 +58,7 @@ def claim_file(path: str | os.PathLike[str] | None) -> Iterator[Path | None]:
     if path is None:
         yield None
     else:
-        with claim(check_folder(Path(path).expanduser())) as target:
+        with claim(check_folder(path)) as target:
             yield target
 
 

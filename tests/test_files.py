@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.files import claim, load_tensors, staged
+from fishrl.files import check_folder, claim, load_tensors, staged
 from fishrl.locks import take_lock
 
 WEIGHTS = {"weight": torch.ones(2, 3)}
@@ -74,3 +74,8 @@ def test_forked_process_holds_no_lock(tmp_path: Path) -> None:
         finally:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
+
+
+def test_home_is_expanded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert check_folder("~/x.png") == tmp_path / "x.png"

@@ -203,4 +203,4 @@ def main(*, folder: str) -> None:
     Args:
         folder: folder of a sweep, which holds the run folders.
     """
-    print(summarize(Path(folder)))
+    print(summarize(Path(folder).expanduser()))

@@ -100,8 +100,8 @@ def write_screenshot(
         OSError: if there is no recording, or the picture cannot be written.
         ValueError: if the viewer fails (it needs a Vulkan driver), or the recording is empty.
     """
-    check_folder(picture)
-    with open_headless(path, time_T) as viewer, staged(Path(picture)) as stage:
+    target = check_folder(picture)
+    with open_headless(path, time_T) as viewer, staged(target) as stage:
         stage.write_bytes(viewer.settle())
 
 
@@ -172,7 +172,7 @@ def open_headless(path: str | os.PathLike[str], time_T: float | None) -> Iterato
 
 def find_recording(path: str | os.PathLike[str]) -> Path:
     """Return the ``.rrd`` file at a path or in a run folder, or raise FileNotFoundError."""
-    file = Path(path)
+    file = Path(path).expanduser()
     file = file / "episode.rrd" if file.is_dir() else file
     if not file.is_file() or file.suffix != ".rrd":
         raise FileNotFoundError(f"no .rrd file at {file}: give one, or a run folder that has one")
