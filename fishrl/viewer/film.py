@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from math import ceil
 from operator import methodcaller
 from os import PathLike
 from pathlib import Path
@@ -32,6 +33,7 @@ FOOD = "#f2b134"
 _NUM_SNAPSHOTS = 6
 _FILM_S = 10.0  # duration of a film, within 10 to 25 frames per second
 _HOLD_S = 1.5  # duration of its last frame
+_MAX_FPS = 50.0  # shorter frames of a GIF are shown for longer
 _PALETTE = "split[a][b];[a]palettegen=max_colors=96[p];[b][p]paletteuse=dither=none"
 _WIDTH_INCHES = 8.0
 #: Dots per inch and ffmpeg options of a film, by file suffix. A GIF has one palette and no
@@ -352,13 +354,15 @@ def write_film(
     fps: float = round(min(25.0, max(10.0, len(recording.frames) / _FILM_S)))
     if seconds_per_T is not None and (lasts_T := float(recording.time[-1])):
         fps = (len(recording.frames) - 1) / (lasts_T * seconds_per_T)
+    step = max(1, ceil(fps / _MAX_FPS))
+    fps /= step
     with staged(Path(path)) as stage:
         writer = imageio_ffmpeg.write_frames(
             str(stage), (width, height), fps=fps, macro_block_size=2, **options
         )
         writer.send(None)
         try:
-            for frame in recording.frames:
+            for frame in recording.frames[::-step][::-1]:
                 picture = np.ascontiguousarray(painter.paint(frame)[:height, :width])
                 writer.send(picture)
             for _ in range(round(_HOLD_S * fps)):

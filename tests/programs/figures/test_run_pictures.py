@@ -233,11 +233,12 @@ def test_zoomed_picture_follows_the_fish_up_to_the_edges() -> None:
     assert seen[0] - seen[1] == pytest.approx(10.0) and x0 == pytest.approx(lowest)
 
 
-def test_film_lasts_as_long_as_its_speed_says(tmp_path: Path) -> None:
-    recording, path = make_recording(num_frames=9), tmp_path / "x.mp4"  # 2 T
-    film.write_film(recording, path, seconds_per_T=1.5)
+@pytest.mark.parametrize(("name", "speed"), [("x.mp4", 1.5), ("x.gif", 0.02)])
+def test_film_lasts_as_long_as_its_speed_says(name: str, speed: float, tmp_path: Path) -> None:
+    recording, path = make_recording(num_frames=9), tmp_path / name  # 2 T
+    film.write_film(recording, path, seconds_per_T=speed)
     _, seconds = imageio_ffmpeg.count_frames_and_secs(path)
-    assert seconds == pytest.approx(3.0 + 1.5, abs=0.4)  # and the last frame held
+    assert seconds == pytest.approx(2.0 * speed + 1.5, abs=0.4)  # and the last frame held
 
 
 def test_points_have_colours_of_their_values() -> None:
