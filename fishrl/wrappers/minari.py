@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from tensordict import TensorDictBase
@@ -51,7 +52,8 @@ def write_dataset(
     """Run one episode from each start and write their transitions to ``<folder>/<name>``.
 
     Observations hold the stacked ``observation`` and, for discrete actions, ``action_mask``; infos
-    hold all entries that the task reports, such as the lateral-line signals.
+    hold all entries that the task reports, such as the lateral-line signals; ``reward/<term>`` is
+    ``reward_<term>``.
 
     Args:
         env: an environment of ``make_env``.
@@ -85,12 +87,13 @@ def write_dataset(
             outcome = step["next"].select("reward", "terminated", "truncated")
             return {"action": step["action"], **outcome, **read(start_of, step["next"])}
 
-        traces = run_episodes(
+        episodes = run_episodes(
             env, policy, starts, on_begin=read, on_step=read_step, on_episodes=on_episodes
-        ).traces
+        )
+        traces = dict(episodes.traces)
         buffers = []
         for index in range(len(starts)):
-            arrays = {key: values.numpy() for key, values in traces.of(index).items()}
+            arrays = {key: values[index].numpy() for key, values in traces.items()}
             masks = {key: arrays[key].astype(np.uint8) for key in masked}
             buffer = EpisodeBuffer(
                 id=index,
@@ -100,22 +103,30 @@ def write_dataset(
                 rewards=arrays["reward"][:, 0],
                 terminations=arrays["terminated"][:, 0],
                 truncations=arrays["truncated"][:, 0],
-                infos={key: arrays[key] for key in reported},
+                infos={key.replace("/", "_"): arrays[key] for key in reported},
             )
             buffers.append(buffer)
         seen, actions = make_spaces(env)
         mask = Box(0, 1, (task.num_actions,), np.uint8)  # TorchRL cannot read MultiBinary
-        with warnings.catch_warnings(), _naming(folder):
+        root = Path(folder).expanduser().absolute()
+        with TemporaryDirectory(prefix=".", dir=root) as stage, warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # missing metadata for the public server
-            return minari.create_dataset_from_buffers(
-                name,
-                buffers,
-                observation_space=Dict({"observation": seen, **dict.fromkeys(masked, mask)}),
-                action_space=actions,
-                algorithm_name=algorithm,
-                description=f"{len(starts)} episodes of {task}",
-                requirements=["fishrl"],
-            )
+            with _naming(stage):
+                minari.create_dataset_from_buffers(
+                    name,
+                    buffers,
+                    observation_space=Dict({"observation": seen, **dict.fromkeys(masked, mask)}),
+                    action_space=actions,
+                    algorithm_name=algorithm,
+                    description=f"{len(starts)} episodes of {task}",
+                    requirements=["fishrl"],
+                )
+            Path(stage, name).rename(path)
+            for rest in Path(stage).rglob("*.json"):  # of a namespace
+                if not (target := root / rest.relative_to(stage)).exists():
+                    rest.rename(target)
+        with _naming(root):
+            return minari.load_dataset(name)
 
 
 @contextmanager
@@ -123,7 +134,7 @@ def _naming(folder: str | Path) -> Iterator[None]:
     """Name the folder of the datasets to Minari, which takes it from the environment alone."""
     name = "MINARI_DATASETS_PATH"
     before = os.environ.get(name)
-    os.environ[name] = str(Path(folder).expanduser().absolute())
+    os.environ[name] = str(folder)
     try:
         yield
     finally:

@@ -183,12 +183,15 @@ def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.Monkey
     )  # fmt: skip
     export_data.main.run(settings)
     data = minari.load_dataset("fishrl/pursuit-v0")
+    assert [path.name for path in tmp_path.iterdir()] == ["fishrl"]
+    assert (tmp_path / "fishrl" / "namespace_metadata.json").is_file()
     episodes = list(data.iterate_episodes())
     assert len(episodes) == 3
     for episode in episodes:
         num = len(episode.actions)
         assert 1 <= num <= 4 and data.observation_space["observation"].dtype == np.float32
         assert len(episode.observations["observation"]) == len(episode.infos["captured"]) == num + 1
+        assert len(episode.infos["reward_approach"]) == num + 1
         masks = episode.observations["action_mask"][:-1]
         assert masks[np.arange(num), episode.actions].all()  # only legal actions
         over = episode.terminations | episode.truncations
@@ -198,6 +201,24 @@ def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.Monkey
     )
     assert len(replayed) == sum(len(episode.actions) for episode in episodes)
     assert replayed.metadata["observation_space"]["action_mask"].shape == (3,)
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_failed_dataset_can_be_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["policy=random", "flows.compile=false", "flows.num_envs=1", "episodes=1"]
+    words += ["task=predation-quick-v1", "task.time_limit=1", f"folder={tmp_path}", "name=fish-v0"]
+
+    def fail(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("minari.utils.MinariDataset", fail)
+        with pytest.raises(KeyboardInterrupt):
+            export_data.main.run(export_data.main.read(words))
+    export_data.main.run(export_data.main.read(words))
+    assert [path.name for path in tmp_path.iterdir()] == ["fish-v0"]
 
 
 def test_unreachable_hub_is_one_line_error(monkeypatch: pytest.MonkeyPatch) -> None:
