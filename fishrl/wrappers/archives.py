@@ -38,10 +38,13 @@ def load_archive(path: Path) -> Archive:
     """Load the policy of an archive, on the CPU. This unpickles, and so runs, code from it.
 
     Raises:
+        FileNotFoundError: if there is no file.
         ValueError: for a file that is none, and for a recurrent policy.
     """
     with needing("stable-baselines3", str(path)):
         from stable_baselines3.common.save_util import load_from_zip_file
+    if not path.is_file():  # Stable-Baselines3 would name another
+        raise FileNotFoundError(f"{path}: no such file")
     data, params, _ = load_from_zip_file(path, device="cpu")
     if data is None or "policy_class" not in data or "policy" not in params:
         raise ValueError(f"{path}: no archive of Stable-Baselines3; model.save writes one")

@@ -46,11 +46,13 @@ TASKS: dict[str, Callable[..., AbstractTask]] = {
 }
 
 
-def make_vector(task: Callable[..., AbstractTask], num_envs: int, **settings: Any) -> FlowVectorEnv:
+def make_vector(
+    task: Callable[..., AbstractTask] | str, num_envs: int, **settings: Any
+) -> FlowVectorEnv:
     """Return a vector environment of flows.
 
     Args:
-        task: class of the task, or a function that makes it.
+        task: class of the task, a function that makes it, or its id in ``TASKS``.
         num_envs: number of flows, regardless of ``flows.num_envs``.
         settings: arguments of ``make_env`` and ``FlowVectorEnv``; all others go to the task.
             ``reset(seed=...)`` repeats episodes.
@@ -63,21 +65,24 @@ def make_vector(task: Callable[..., AbstractTask], num_envs: int, **settings: An
         for takes in (make_env, FlowVectorEnv)
     )
     flows = replace(making.pop("flows", Flows()), num_envs=num_envs)
-    env = make_env(task=task(**settings), flows=flows, **making)
+    make = TASKS[task] if isinstance(task, str) else task
+    env = make_env(task=make(**settings), flows=flows, **making)
     return FlowVectorEnv(env, **wrapping)
 
 
-def make_single(task: Callable[..., AbstractTask], **settings: Any) -> FlowSingleEnv:
+def make_single(task: Callable[..., AbstractTask] | str, **settings: Any) -> FlowSingleEnv:
     """Return an environment of one flow; arguments are those of ``make_vector``."""
-    if "num_envs" in settings:
-        raise ValueError("num_envs: gymnasium.make makes one flow; use gymnasium.make_vec")
+    if "num_envs" in settings or "autoreset_mode" in settings:
+        raise ValueError(
+            "num_envs, autoreset_mode: gymnasium.make makes one flow; use gymnasium.make_vec"
+        )
     return FlowSingleEnv(make_vector(task, 1, autoreset_mode="Disabled", **settings))
 
 
-for name, one in TASKS.items():
+for name in TASKS:
     register(
         name,
         entry_point=f"{__name__}:make_single",
         vector_entry_point=f"{__name__}:make_vector",
-        kwargs={"task": one},
+        kwargs={"task": name},  # a text, so that a spec can be written as JSON
     )

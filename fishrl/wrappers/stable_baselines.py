@@ -37,7 +37,13 @@ class FlowVecEnv(VecEnv):
         self._actions: Array = np.zeros(self.num_envs, dtype=np.int64)
 
     def reset(self) -> Array:
-        """Start new episodes in all rows, with the seed given to ``seed``, if any."""
+        """Start new episodes in all rows, with the seed given to ``seed``, if any.
+
+        Raises:
+            ValueError: if options are set.
+        """
+        if any(self._options):
+            raise ValueError(f"options = {self._options}: must be empty")
         observations, infos = self.vector.reset(seed=self._seeds[0])
         self._reset_seeds()
         self._reset_options()

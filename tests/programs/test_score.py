@@ -59,6 +59,8 @@ def test_archive_needs_trust_and_acts_as_its_model(tmp_path: Path) -> None:
     model.save(path)
     with pytest.raises(ValueError, match=r"unpickles it, which runs any code .* trust=true"):
         score(path, task=task, **EAGER)
+    with pytest.raises(FileNotFoundError, match=r"/none\.zip: no such file"):
+        score(str(tmp_path / "none.zip"), task=task, trust=True, **EAGER)
     row = score(path, task=task, split="validation", trust=True, **EAGER)
     assert (row.kind, row.num_stacked, row.trained_decisions) == ("archive", 5, 4)
 

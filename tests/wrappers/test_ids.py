@@ -46,6 +46,14 @@ def test_ids_make_vector_and_single_environments() -> None:
         made.close()
     with pytest.raises(ValueError, match="body_lenght"):
         gymnasium.make("fishrl/Predation-v0", body_lenght=50)
+    with pytest.raises(ValueError, match="autoreset_mode: gymnasium"):
+        gymnasium.make("fishrl/Predation-v0", autoreset_mode="SameStep")
+
+
+def test_specs_are_written_as_json() -> None:
+    for name in TASKS:
+        spec = gymnasium.envs.registration.EnvSpec.from_json(gymnasium.spec(name).to_json())
+        assert spec.kwargs == {"task": name}
 
 
 def test_presets_have_ids() -> None:

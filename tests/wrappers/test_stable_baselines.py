@@ -57,6 +57,9 @@ def test_attributes_and_methods_are_per_row() -> None:
     assert envs.env_is_wrapped(VecMonitor) == [False] * 3
     with pytest.raises(ValueError, match="rows share one environment"):
         envs.set_attr("task", None)
+    envs.set_options({"reset_masc": [True]})
+    with pytest.raises(ValueError, match="reset_masc"):
+        envs.reset()
     envs.close()
     with pytest.raises(RuntimeError, match="closed"):
         envs.vector.flows.solver.advance_(2)
