@@ -86,11 +86,10 @@ def _find_cache() -> Path:
 
 
 def _list_settings(device: torch.device) -> dict[str, object]:
-    """Return Inductor's settings: fused multiply-add, no checks of shapes, which never change."""
+    """Return Inductor's settings, such as fused multiply-add."""
     return {
         "cpp.cxx": (_find_compiler(),),
         "cpp.enable_floating_point_contract_flag": "fast",
-        "size_asserts": False,
         "alignment_asserts": False,
         "cpp.vec_isa_ok": True,  # by the processor's flags; else a program is compiled for each
         # For networks: frozen constants are not stored, and templates fail on mutated arguments.

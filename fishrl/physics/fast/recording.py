@@ -21,6 +21,7 @@ Call = Callable[[], object]
 _MAKES_TENSORS = {"args.clear", "empty_strided_cpu", "reinterpret_tensor"}
 _READS_SIZES = (".size", ".stride")
 _KERNEL = "cpp_fused"
+_CHECKS = "assert_size_stride"  # once: shapes never change
 
 
 def record(
@@ -82,7 +83,9 @@ def _is_plain(call: ast.Call) -> bool:
     name = ast.unparse(call.func)
     if name.startswith("extern_kernels."):  # of torch; without ``out`` they make their results
         return any(keyword.arg == "out" for keyword in call.keywords)
-    return name in _MAKES_TENSORS or name.endswith(_READS_SIZES) or name.startswith(_KERNEL)
+    return (
+        name in _MAKES_TENSORS or name.endswith(_READS_SIZES) or name.startswith((_KERNEL, _CHECKS))
+    )
 
 
 def _note_calls(names: dict[str, Any], calls: list[Call], scratch: list[Tensor]) -> dict[str, Any]:
