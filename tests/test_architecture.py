@@ -22,7 +22,7 @@ TORCHRL_FILES = tuple(
     f"fishrl/envs/{name}.py"
     for name in ("flow_env", "making", "episodes", "recognition", "specs", "transforms")
 )
-DRAWING = {"rerun", "matplotlib", "PIL", "imageio_ffmpeg", "xarray", "pyvista"}
+DRAWING = {"rerun", "psutil", "matplotlib", "PIL", "imageio_ffmpeg", "xarray", "pyvista"}
 WRAPPED = {"torchrl", "gymnasium", "pettingzoo", "stable_baselines3", "minari"}
 # The first matching prefix applies to a file; "a.b" allows "a.b" and "a.b.c".
 LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
