@@ -29,7 +29,7 @@ from fishrl.training.interruption import Interrupted, Interruption, ignore_signa
 from fishrl.training.logger import CsvLogger
 from fishrl.training.metrics import Counters, compute_mlups, list_metrics, measure_memory_mb
 from fishrl.training.opening import Opened
-from fishrl.training.run_folder import read_summary, write_json, write_yaml
+from fishrl.training.run_folder import write_json, write_yaml
 
 logger = logging.getLogger(__name__)
 
@@ -228,7 +228,6 @@ class Training:
             result = self._compare() | self._describe(best)
             folder.ending.touch()
             write_json(folder.summary, result)
-            result = read_summary(folder.summary)  # with null for NaN, as after a resume
             self.opened = replace(self.opened, result=result)
         self.callbacks.on_end(
             result,

@@ -1,5 +1,6 @@
 """Open a run: read its folder, compare settings, decide whether it begins, continues or ended."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -157,7 +158,9 @@ def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
         stored = Plan.from_config(config)
         plan = stored.change(**changes)
     opened = Opened(plan=plan, folder=folder, stored=config)
-    result = read_summary(folder.summary)
+    summary = read_summary(folder.summary).items()
+    # JSON has no NaN, the mean of nothing
+    result = {n: math.nan if value is None and "mean_" in n else value for n, value in summary}
     has_result = plan.total_frames <= result.get("frames", 0)
     has_result &= _evaluates_alike(plan, stored, Plan)
     is_cut_off = folder.ending.is_file() or folder.failure.is_file()

@@ -45,6 +45,7 @@ def count_tensors() -> int:
     return sum(issubclass(type(thing), torch.Tensor) for thing in gc.get_objects())
 
 
+@pytest.mark.usefixtures("traced_at_once")
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), DRQN()], ids=["sac", "drqn"])
 def test_memory_does_not_grow_with_frames(toy: Toy, algorithm: DiscreteSAC | DRQN) -> None:
     training = toy.begin(
