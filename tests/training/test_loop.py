@@ -162,7 +162,8 @@ def test_run_cut_off_in_on_end_keeps_its_result_and_repeats_on_end_alone(
             complete(training)
         assert first.seen.count("restart") == 2  # evaluations
     run = RunFolder(toy.folder / "run")
-    result, watcher = read_summary(run.summary), Watcher()
+    result, watcher = open_run(run.path).result, Watcher()
+    assert result is not None and read_summary(run.summary)["frames"] == 16
     assert resume(run.path, callbacks=[watcher]) == result
     assert watcher.seen == ["begin 8", "finish 16", "close"]
     assert open_run(run.path).summary == result
