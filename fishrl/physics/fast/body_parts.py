@@ -12,6 +12,7 @@ from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.collision import Collided, compute_force_increment, compute_macroscopic
 from fishrl.physics.fast.flow_memory import FlowData, GroupMemory
+from fishrl.physics.fast.inductor import GATHERING
 from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.fast.part import Part, copy_tree
 from fishrl.physics.flow import FlowConfig
@@ -37,7 +38,8 @@ Bodies = tuple[tuple[BodyParams, ...], tuple[BodyState, ...]]
 BODY_SETTINGS: dict[str, dict[str, object]] = {
     # The part is small and scatters: one thread, and weights are kept, not computed again for every
     # pair of markers (six times slower at L = 100). Indices are clamped to the grid: no check.
-    "cpu": {
+    "cpu": GATHERING
+    | {
         "cpp.threads": 1,
         "realize_opcount_threshold": 10,
         "assert_indirect_indexing": False,

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.fast.flow_memory import GroupMemory
+from fishrl.physics.fast.inductor import GATHERING
 from fishrl.physics.fast.part import Part, Repeater, copy_tree
 from fishrl.physics.fast.recording import Call
 from fishrl.physics.levels.grids import Level, choose_shifts, find_middle
@@ -27,7 +28,7 @@ from fishrl.physics.levels.transfer import (
 
 SETTINGS: dict[str, dict[str, object]] = {
     # no check of indices, which tables hold
-    "cpu": {"cpp.threads": 1, "assert_indirect_indexing": False},
+    "cpu": GATHERING | {"cpp.threads": 1, "assert_indirect_indexing": False},
     "cuda": {"combo_kernels": True},
 }
 

@@ -180,6 +180,15 @@ def test_key_has_instructions_and_compiler(tmp_path: Path, monkeypatch: pytest.M
     assert keys[0] == keys[-1] and len(set(keys)) == 3
 
 
+@pytest.mark.parametrize(("target", "bits"), [("#define __AVX2__ 1", 256), ("", None)])
+def test_gathering_parts_have_shorter_vectors_where_there_are_any(
+    target: str, bits: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(inductor_module, "describe_target", lambda _: target)
+    with inductor_module.set_up_inductor(torch.device("cpu"), {**inductor_module.GATHERING}):
+        assert inductor_config.cpp.simdlen == bits
+
+
 def find_problem() -> str | None:
     return inductor_module.find_compiler_problem.__wrapped__("cpu")
 
