@@ -59,7 +59,9 @@ def assert_equal_to_reference(
         assert float((got.heading - expected.heading).abs().max()) < 0.1 * small
         torch.testing.assert_close(got.work, expected.work, rtol=small, atol=small)
         torch.testing.assert_close(got.torque_work, expected.torque_work, rtol=small, atol=small)
-        torch.testing.assert_close(got.impulse, expected.impulse, rtol=small, atol=small)
+        # forces that alternate leave an impulse far smaller than their own round-off allows for
+        large = max(1.0, float(expected.impulse.abs().max()))
+        assert float((got.impulse - expected.impulse).abs().max()) < small * large
 
 
 STREAM, PINNED = NonEquilibrium(velocity=(1.0, 0.0)), NonEquilibrium(density=1.0)
