@@ -61,6 +61,9 @@ class ValidateSettings(Settings):
         for name in self.cases:
             if name not in names:
                 raise unknown(name, names)
+        quick = [case.name for case in CASES if any(job.is_quick for job in case.jobs)]
+        if self.quick and self.cases and not {*self.cases} & {*quick}:
+            raise ValueError(f"cases = {[*self.cases]}: quick=true has {', '.join(quick)} alone")
 
 
 @program()

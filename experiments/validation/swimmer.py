@@ -9,6 +9,7 @@ u_def, averaged over a beat.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from math import pi
 from typing import Any
 
@@ -120,7 +121,7 @@ def draw_speed(axes: Axes, run: Result, *style: Any, **options: Any) -> None:
 
 
 JOBS = [
-    *(make_swim(n, NUM_BEATS) for n in LENGTHS),
+    *(replace(make_swim(n, NUM_BEATS), is_quick=n == LENGTHS[0]) for n in LENGTHS),
     *(make_swim(VARIANT_LENGTH, NUM_BEATS, **changes) for changes in VARIANTS.values()),
 ]
 
@@ -136,6 +137,8 @@ def judge(runs: Runs) -> Iterator[Check]:
     yield check_refined("L", f"{speed}, L / T", final, *carling, note=NO_SOURCE)
     yield check_refined("L", "power of the muscles, ρ L⁴ / T³", power)
     yield check_refined("L", "slip at the skin / tail speed", slip)
+    if len(found) < len(LENGTHS):
+        return
     coarse, middle, fine = (final[n] for n in LENGTHS[::2])
     ratio = (middle - coarse) / (fine - middle)
     yield Check(
@@ -164,10 +167,12 @@ def draw(figure: Figure, runs: Runs) -> None:
     found = runs.by("body_length", num_beats=NUM_BEATS)
     for n, run in found.items():
         draw_speed(left, run, "o-", label=f"L = {n}")
+    left.set(title="resolution", ylim=(0.0, None), ylabel="speed over each beat  U T / L")
+    if len(found) < len(LENGTHS):
+        return
     draw_speed(right, found[VARIANT_LENGTH], "o-", label="unchanged")
     for name, changes in VARIANTS.items():
         draw_speed(right, runs.get(**VARIED, **changes), "o-", label=name)
-    left.set(title="resolution", ylim=(0.0, None), ylabel="speed over each beat  U T / L")
     right.set_title(f"variants, L = {VARIANT_LENGTH}")
 
 

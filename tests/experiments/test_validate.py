@@ -50,6 +50,11 @@ def test_cached_results_are_read_unless_arguments_change_or_fresh(tmp_path: Path
     assert _read_log(tmp_path) == ["2", "2", "3", "4"]
 
 
+def test_choice_without_a_quick_run_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"cases = \['gaits'\]: quick=true has .*swimmer"):
+        program.main.read(["quick=true", "cases=[gaits]"])
+
+
 def test_failed_jobs_are_misses_and_others_continue(tmp_path: Path) -> None:
     others = [(getattr(toy_cases, name), {}) for name in ("blow_up", "die", "return_a_path")]
     outcome = _run(tmp_path, others=others)
