@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 from fishrl.__main__ import list_programs
 from fishrl.benchmark import list_versions
@@ -202,6 +203,7 @@ def test_lateral_line_classifier_is_trained(tmp_path: Path) -> None:
 
 @pytest.mark.slow  # runs every other program in a process of its own
 def test_tiny_reproduction_runs_all_jobs_and_writes_its_page(tmp_path: Path) -> None:
+    torch.compile(torch.sin)(torch.ones(1))  # sets variables and paths of torch's own, once
     _run("reproduce", "scale=tiny", f"folder={tmp_path}")
     page = (tmp_path / "reproduction.md").read_text(encoding="utf-8")
     pictures = re.findall(r"\]\((figures/\w+\.\w+)\)", page)
