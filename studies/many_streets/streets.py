@@ -42,7 +42,7 @@ RUNS = {
 SCORES = Path(__file__).parent / "data"
 FRAMES, TIME = 60_000, 321  # decisions, 40 T
 #: Speeds in L / T and diameters in L beyond those of training.
-OUTSIDE = ((0.35, 0.4), (0.6, 0.4), (0.5, 0.2), (0.5, 0.6))
+OUTSIDE = ((0.35, 0.4), (0.6, 0.4), (0.5, 0.25), (0.5, 0.6))
 
 
 def train(arm: str, seed: int) -> None:
