@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import shlex
-import signal
 import subprocess
 import sys
 import time
@@ -234,24 +231,33 @@ def is_over(pid: int) -> bool:
     return not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
 
 
-def test_job_of_killed_sweep_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+#: A sweep whose job, in a process of its own as joblib's, starts a run that writes its number.
+SWEEP = """
+import multiprocessing, os, pathlib, sys, time
+from fishrl.children import start_child
+from fishrl.programs.sweeps import jobs
+
+folder, run = sys.argv[1:]
+
+def start(*_, **options):
+    pathlib.Path(folder, "pid_of_job").write_text(str(os.getpid()))
+    return start_child(run, **options)
+
+jobs.start_child = start
+(job,) = jobs.plan_jobs([f"folder={folder}"])[1]
+multiprocessing.get_context("fork").Process(target=jobs.run_job, args=(job,)).start()
+time.sleep(600)
+"""
+
+
+def test_job_of_killed_sweep_ends(tmp_path: Path) -> None:
     """In a process of its own, as joblib's, which does not end with the sweep."""
-    (job,) = plan_jobs([f"folder={tmp_path}"])[1]
     files = [tmp_path / name for name in ("pid_of_job", "pid_of_run")]
-
-    def start(*_: str, **options: Any) -> Any:
-        files[0].write_text(str(os.getpid()))
-        code = f"import os, time; open({str(files[1])!r}, 'w').write(str(os.getpid()))"
-        return start_child(f"{code}; time.sleep(600)", **options)
-
-    monkeypatch.setattr(jobs, "start_child", start)
-    sweep = os.fork()
-    if sweep == 0:
-        multiprocessing.get_context("fork").Process(target=jobs.run_job, args=(job,)).start()
-        time.sleep(600.0)
+    run = f"import os, time; open({str(files[1])!r}, 'w').write(str(os.getpid())); time.sleep(600)"
+    sweep = subprocess.Popen([sys.executable, "-c", SWEEP, str(tmp_path), run])
     left = [read_pid(file) for file in files]
-    os.kill(sweep, signal.SIGKILL)
-    os.waitpid(sweep, 0)
+    sweep.kill()
+    sweep.wait()
     deadline = time.monotonic() + 60.0
     while not all(map(is_over, left)) and time.monotonic() < deadline:
         time.sleep(0.1)
