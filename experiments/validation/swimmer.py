@@ -169,6 +169,7 @@ def draw(figure: Figure, runs: Runs) -> None:
         draw_speed(left, run, "o-", label=f"L = {n}")
     left.set(title="resolution", ylim=(0.0, None), ylabel="speed over each beat  U T / L")
     if len(found) < len(LENGTHS):
+        right.remove()
         return
     draw_speed(right, found[VARIANT_LENGTH], "o-", label="unchanged")
     for name, changes in VARIANTS.items():

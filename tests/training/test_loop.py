@@ -200,8 +200,7 @@ OFFLINE = {
     "warmup_frames": 640,
     "batch_size": 256,
 }
-#: Of seeds 0 to 11 of discrete SAC one captures 23 of 32, the others 29 to 32; which one it is
-#: depends on the processor.
+#: Of seeds 0 to 11 of discrete SAC seed 0 captures 23 of 32 on an Intel Xeon, the others 29 to 32.
 OFFLINE |= {"updates_per_frame": 1.0, "tau": 0.03, "gamma": 0.9, "buffer_size": 2000}
 
 
@@ -219,19 +218,23 @@ OFFLINE |= {"updates_per_frame": 1.0, "tau": 0.03, "gamma": 0.9, "buffer_size": 
 def test_fish_learns_to_catch_still_food(
     toy: Toy, algorithm: Algorithm, is_continuous: bool, settings: dict[str, Any]
 ) -> None:
-    summary = toy.begin(
-        task={"food_speed_bl": 0.0, "is_continuous": is_continuous},
-        algorithm=algorithm,
-        learning_rate=2e-3,
-        hidden=(64, 64),
-        eval_episodes=10,
-        final_episodes=32,
-        baselines=("random",),
-        **settings,
-    ).run()
+    settings = settings | {"eval_episodes": 10, "final_episodes": 32, "baselines": ("random",)}
+    learned, at_random = 0.0, 0.0
+    for seed in (0, 1):  # one alone may be unlucky
+        summary = toy.begin(
+            task={"food_speed_bl": 0.0, "is_continuous": is_continuous},
+            algorithm=algorithm,
+            learning_rate=2e-3,
+            hidden=(64, 64),
+            seed=seed,
+            name=f"seed{seed}",
+            **settings,
+        ).run()
+        learned += 0.5 * summary["success_rate"]
+        at_random += 0.5 * summary["random_success_rate"]
     # Random actions captured 6, 5, 9 and 3 of 32, PPO 32.
-    assert summary["success_rate"] >= 0.6
-    assert summary["random_success_rate"] <= 0.4
+    assert learned >= 0.75
+    assert at_random <= 0.4
 
 
 def test_run_without_gradient_steps_warns_once(toy: Toy, caplog: pytest.LogCaptureFixture) -> None:
