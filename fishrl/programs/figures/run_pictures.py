@@ -108,17 +108,21 @@ def write_trajectories(recordings: Sequence[Recording], path: Path) -> None:
         bodies = [curve for curve in scene.curves if curve.is_closed and curve.is_filled]
         for body in bodies[len(scene.trails) :]:  # after the fish
             outlines = [recording.stack_bl(body.key)[0].numpy() for recording in recordings]
-            is_one = all((outline == outlines[0]).all() for outline in outlines)
+            if all((outline == outlines[0]).all() for outline in outlines):
+                axes.add_patch(Polygon(outlines[0], closed=True, facecolor="0.45", lw=0))
+                words.append("grey: obstacle")
+                continue
             for outline, colour in zip(outlines, cycle(COLOURS), strict=False):
-                face, edge = ("0.45", "none") if is_one else ("none", colour)
-                axes.add_patch(Polygon(outline, closed=True, facecolor=face, edgecolor=edge))
+                axes.add_patch(Polygon(outline, closed=True, facecolor="none", edgecolor=colour))
+            words.append("outline: obstacle")
         for number, recording in enumerate(recordings):
             _draw_trajectory(axes, recording, COLOURS[number % len(COLOURS)])
         axes.set(xlim=(0, x), ylim=(0, y), aspect="equal", title=scene.title)
         label_axes(axes)
         axes.legend(
             loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, fontsize=9,
-            title="\n".join(words), title_fontsize=8.5, alignment="left", labelspacing=0.55,
+            title="\n".join(dict.fromkeys(words)), title_fontsize=8.5, alignment="left",
+            labelspacing=0.55,
         )  # fmt: skip
 
 

@@ -127,7 +127,7 @@ def test_paths_show_obstacles_and_endings(tmp_path: Path, monkeypatch: pytest.Mo
     assert all((post / 20.0).tolist() in drawn for post in posts)
     legend = axes.get_legend()
     words = " ".join(t.get_text() for t in (legend.get_title(), *legend.get_texts()))
-    assert "4.0 T, caught" in words and "food" not in words
+    assert "4.0 T, caught" in words and "food" not in words and "outline: obstacle" in words
 
 
 def test_nothing_of_trajectories_is_cut_off(tmp_path: Path) -> None:
