@@ -2,6 +2,7 @@
 
     python studies/blind_by_reward/sweep.py train --arm line-sees-unit --seed 0    # continues a run
     python studies/blind_by_reward/sweep.py score --arm line-sees-unit --seed 0
+    python studies/blind_by_reward/sweep.py store --arm line-sees-unit --seed 0    # weights, curve
     python studies/blind_by_reward/sweep.py table                                  # of what is scored
     python studies/blind_by_reward/sweep.py vary --arm line-sees-unit-no-history --seed 0
     python studies/blind_by_reward/sweep.py row --arm sight-unit --seed 0    # of the benchmark
@@ -164,6 +165,24 @@ def score(arm: str, seed: int) -> None:
     (SCORES / f"{arm}-{seed}.json").write_text(json.dumps(results, indent=1))
 
 
+def read_scores(arm: str) -> list[dict[str, Any]]:
+    """Return the scores of an arm's seeds."""
+    return [json.loads(path.read_text()) for path in sorted(SCORES.glob(f"{arm}-[0-9].json"))]
+
+
+def choose_rule(scores: list[dict[str, Any]]) -> str:
+    """Return the rule to be quoted: the longest mean on the validation starts over the seeds."""
+    return max(RULES, key=lambda rule: sum(each[f"{rule}/validation"]["T"] for each in scores))
+
+
+def store(arm: str, seed: int) -> None:
+    """Keep the learning curve and the weights of the rule that is quoted now."""
+    run, rule = RUNS / f"{arm}-{seed}", choose_rule(read_scores(arm))
+    torch.save({rule: average(run / "actors", RULES[rule])}, SCORES / f"{arm}-{seed}.pt")
+    shutil.copy(run / "metrics.csv", SCORES / f"{arm}-{seed}.csv")
+    print(arm, seed, rule)
+
+
 def load_actor(arm: str, seed: int) -> Any:
     """Return the policy whose weights are stored."""
     plan = make_plan(arm, seed)
@@ -232,10 +251,10 @@ def table() -> None:
     """Print mean and 95 % interval over seeds of each arm, rule and set."""
     quantile = {2: 12.71, 3: 4.30, 4: 3.18, 5: 2.78}  # of Student's t
     for arm in ARMS:
-        scores = [json.loads(path.read_text()) for path in sorted(SCORES.glob(f"{arm}-[0-9].json"))]
+        scores = read_scores(arm)
         if not scores:
             continue
-        chosen = max(RULES, key=lambda r: sum(s[f"{r}/validation"]["T"] for s in scores))
+        chosen = choose_rule(scores)
         for rule in RULES:
             for name in SETS:
                 each = torch.tensor([s[f"{rule}/{name}"]["T"] for s in scores])
@@ -247,12 +266,12 @@ def table() -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("what", choices=("train", "score", "vary", "keep", "row", "table"))
+    parser.add_argument("what", choices=("train", "score", "store", "vary", "keep", "row", "table"))
     parser.add_argument("--arm", choices=ARMS, default="line-sees-unit")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     if options.what == "table":
         table()
     else:
-        do = {"train": train, "score": score, "vary": vary, "keep": keep, "row": add_row}
-        do[options.what](options.arm, options.seed)
+        do = {"train": train, "score": score, "store": store, "vary": vary, "keep": keep}
+        (do | {"row": add_row})[options.what](options.arm, options.seed)
