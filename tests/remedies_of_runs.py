@@ -40,6 +40,7 @@ from fishrl.training import (
     load_policy,
     open_run,
 )
+from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.export import export_policy
@@ -83,6 +84,10 @@ def finish() -> Path:
 def reopen(**given: Any) -> None:
     with closing(Training(open_run(finish(), **given))) as training:
         training.run()
+
+
+def begin_with(**given: Any) -> None:
+    begin(name="second", initial_policy=str(finish()), **given).close()
 
 
 def begin_another(**given: Any) -> None:
@@ -253,6 +258,10 @@ RUNS: list[tuple[Any, ...]] = [
     (read_own, "modules", OUT, ("own_control",)),
     (partial(Plan, task=SHORT), "algorithm", SAC(), DQN()),
     (show_critics, ("place_of_the_food",), ()),
+    (partial(Plan, task=SHORT, algorithm=DQN()), "critic_frames", 9, 0),
+    (partial(Plan, task=SHORT, algorithm=DQN(), initial_policy="x"), "scale_inputs", True, False),
+    (begin_with, "hidden", (8,), (16,)),
+    (begin_with, "algorithm", DQN(), DiscreteSAC()),
     (partial(DQN, epsilon_start=0.5), "epsilon_end", 0.9, 0.5),
     (partial(LearningSettings, buffer_size=16), "batch_size", 17, 16),
     (write, False, True),

@@ -19,7 +19,7 @@ from fishrl.envs.agents import EachFish
 from fishrl.envs.mirror import Mirror
 from fishrl.training.averaging import WeightAverage
 from fishrl.training.reflection import Reflection
-from fishrl.training.scaling import InputScale, ScaledPolicy
+from fishrl.training.scaling import Folding, InputScale, ScaledPolicy
 from fishrl.training.settings import LearningSettings
 from fishrl.training.tracing import Traced
 
@@ -50,7 +50,8 @@ class Learner(ABC):
 
     Args:
         networks: networks and loss of the algorithm.
-        settings: learning rate, batch size, buffer size and average of the policy.
+        settings: learning rate, batch size, buffer size, average of the policy, and how long it
+            rests.
 
     Attributes:
         actor: policy that is evaluated and saved.
@@ -76,6 +77,9 @@ class Learner(ABC):
             self._scale = InputScale(used).to(device)
             self.explorer = ScaledPolicy(self.explorer, self._scale)
         self._unmeasured = self._scale
+        self._initial: Folding | None = None
+        if settings.initial_policy is not None and self._scale is not None:
+            self._initial = Folding(self.actor, self._scale)
         if networks.num_fish > 1:
             self.explorer = EachFish(self.explorer, self.explorer.out_keys)
         self._reflection: Reflection | None = None
@@ -86,9 +90,13 @@ class Learner(ABC):
             horizon = settings.actor_average * settings.updates_per_frame * networks.num_fish
             self._average = WeightAverage(self.actor, horizon=horizon, scale=self._scale)
             self.actor = self._average.policy
-        self.optimiser = torch.optim.Adam(
-            self.loss.parameters(), lr=settings.learning_rate, fused=True
-        )
+        parameters: list[Any] = list(self.loss.parameters())
+        if settings.critic_frames:  # the policy's first, see rest_actor
+            own = list(networks.actor.parameters())
+            known = {id(weight) for weight in own}
+            parameters = [weight for weight in parameters if id(weight) not in known]
+            parameters = [{"params": own}, {"params": parameters}]
+        self.optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate, fused=True)
         self._renew_step()
         # A checkpoint replaces the tensors of the optimiser, which a traced step has kept.
         self.optimiser.register_load_state_dict_post_hook(self._renew_step)
@@ -136,6 +144,14 @@ class Learner(ABC):
             batch = self._reflection(batch)
         return dict(zip(self.reports, self._step(batch), strict=True))
 
+    def rest_actor(self, is_resting: bool) -> None:
+        """Let the policy keep its weights in the next gradient steps, or learn again."""
+        policy, critics = self.optimiser.param_groups
+        rate = 0.0 if is_resting else critics["lr"]
+        if policy["lr"] != rate:
+            policy["lr"] = rate
+            self._renew_step()
+
     def _take_step(self, batch: TensorDictBase) -> list[Tensor]:
         losses = self.loss(self._read(batch))
         self.optimiser.zero_grad()
@@ -153,6 +169,8 @@ class Learner(ABC):
         """Measure the scale of inputs, unless a checkpoint has brought it."""
         if self._unmeasured is not None and not self._unmeasured.is_measured:
             self._unmeasured.measure_(data)
+            if self._initial is not None:
+                self._initial.undo_()
         self._unmeasured = None  # a GPU is not asked again
 
     def _renew_step(self, *_: Any) -> None:

@@ -95,7 +95,10 @@ class Training:
         np.random.seed(seed)  # noqa: NPY002 - for libraries that use the global generator
         torch.manual_seed(seed)
         self.learner = self.plan.algorithm.make_learner(
-            self.opened.spec, self.plan, device=self.plan.policy_device
+            self.opened.spec,
+            self.plan,
+            device=self.plan.policy_device,
+            initial=self.opened.initial,
         )
         self.callbacks.on_phase("compilation" if self.plan.flows.compile else "set-up")
         with ignore_signals_in_children():  # a checkpoint needs the flows in these processes
@@ -178,6 +181,9 @@ class Training:
         due = math.floor(per_frame * (counters.frames - plan.warmup_frames)) - counters.updates
         if due <= 0 or not self.learner.is_ready:
             return
+        if plan.critic_frames:
+            begins = self.learner.first_frames + plan.critic_frames
+            self.learner.rest_actor(counters.frames < begins)
         with one_thread():
             for _ in range(due):
                 losses = self.learner.update()

@@ -56,6 +56,24 @@ class Opened:
         )
 
     @cached_property
+    def initial(self) -> Checkpoint | None:
+        """The policy whose weights a new run begins with."""
+        plan = self.plan
+        if plan.initial_policy is None or self.checkpoint is not None:
+            return None
+        found = Checkpoint.find(plan.initial_policy)
+        other = Plan.from_config(found.config)
+        pairs = {"algorithm": [type(each.algorithm).__name__ for each in (plan, other)]}
+        for name, (wanted, stored) in (pairs | {"hidden": [plan.hidden, other.hidden]}).items():
+            if wanted != stored:
+                raise ValueError(
+                    f"{name} = {wanted}: the initial_policy {plan.initial_policy} was trained with "
+                    f"{stored}; take that, or another policy"
+                )
+        self.spec.check(found.manifest.metadata.model_dump(), path=found.path)
+        return found
+
+    @cached_property
     def baselines(self) -> tuple[str, ...]:
         """Names of the policies to compare with."""
         return choose_baselines(self.plan.baselines, self.task)
@@ -89,7 +107,7 @@ class Opened:
         check_device(plan.policy_device)
         for device, parts in self.count_bytes().items():
             check_memory(device=device, **parts)
-        _ = self.baselines
+        _ = self.baselines, self.initial
         if self.checkpoint is not None:
             _ = self.checkpoint.files
 

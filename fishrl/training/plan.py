@@ -35,6 +35,19 @@ class Plan(RunSettings, LearningSettings):
         """Check that the algorithm learns the actions of the task."""
         self.algorithm.check(self.task)
         super().__post_init__()
+        if self.algorithm.has_critic:
+            return
+        kind = type(self.algorithm).__name__
+        if self.critic_frames:
+            raise ValueError(
+                f"critic_frames = {self.critic_frames}: {kind} has no critic apart from its "
+                "policy; critic_frames=0"
+            )
+        if self.initial_policy is not None and self.scale_inputs:
+            raise ValueError(
+                f"scale_inputs: with initial_policy the targets of {kind} would be of unscaled "
+                "inputs; scale_inputs=false"
+            )
 
     @property
     def folder_name(self) -> str:

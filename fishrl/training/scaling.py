@@ -103,3 +103,9 @@ class Folding:
         folded = self._weight / self._deviation
         changed = {id(self._weight): folded, id(self._bias): self._bias - folded @ self._mean}
         return [changed.get(id(weight), weight) for weight in weights]
+
+    @torch.no_grad()
+    def undo_(self) -> None:
+        """Let a policy that reads observations read scaled ones, with the same result."""
+        self._bias += self._weight @ self._mean
+        self._weight *= self._deviation

@@ -31,6 +31,10 @@ class LearningSettings(Settings):
         scale_inputs: whether networks read each number observed as its deviation from the mean, in
             standard deviations, both measured in the warm-up; of PPO in the first rollout. Saved
             policies read observations: the scale is folded into their first layer.
+        initial_policy: trained policy whose weights the new one begins with, of the same algorithm,
+            observations and actions: run folder, checkpoint or ``zoo/<name>``.
+        critic_frames: env frames after the warm-up in which the policy keeps its weights and its
+            critics alone learn.
         reflect: whether half of the replayed transitions, drawn at random, are reflected about the
             axis of the flow; for tasks that have a mirror image.
     """
@@ -48,6 +52,8 @@ class LearningSettings(Settings):
     hidden: tuple[PositiveInt, ...] = (256, 256)
     actor_average: NonNegativeInt = 0
     scale_inputs: bool = False
+    initial_policy: Annotated[str, Field(min_length=1)] | None = None
+    critic_frames: NonNegativeInt = 0
     reflect: bool = False
 
     def __post_init__(self) -> None:

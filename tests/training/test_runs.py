@@ -143,6 +143,7 @@ def test_algorithms_resume_exactly(toy: Toy, algorithm: Algorithm, num_updates: 
             **legal,
         },
         "reflect": can_more,
+        "critic_frames": 100 if can_more else 0,  # the last round before it is frame 176
         "algorithm": algorithm,
         "batch_size": 18 if isinstance(algorithm, PPO) else 64,
         "buffer_size": 130,  # the oldest are forgotten on the way

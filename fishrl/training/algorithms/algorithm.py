@@ -13,6 +13,7 @@ from torchrl.objectives import LossModule
 
 from fishrl.envs import AbstractTask
 from fishrl.settings import Settings
+from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.learner import Learner, Networks, OffPolicyLearner
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
@@ -102,11 +103,21 @@ class Algorithm(Settings, ABC):
         return OffPolicyLearner(networks, settings)
 
     def make_learner(
-        self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
+        self,
+        spec: PolicySpec,
+        settings: LearningSettings,
+        *,
+        device: str = "cpu",
+        initial: Checkpoint | None = None,
     ) -> Learner:
-        """Make a new policy and its learner; ``settings.seed`` fixes the initial weights."""
+        """Make a new policy and its learner; ``settings.seed`` fixes the initial weights.
+
+        With ``initial`` the policy has the weights of one that was trained.
+        """
         generator = torch.Generator().manual_seed(settings.seed)
         policy = self.make_policy(spec, generator).to(device)
+        if initial is not None:
+            initial.load({"actor": policy}, spec=spec, device=device)
         loss = self.make_loss(policy, spec, generator)
         explorer = self.make_explorer(policy, spec)
         networks = Networks(

@@ -1,0 +1,85 @@
+"""A training that begins with the policy of another, whose critics may learn before it does."""
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from fishrl.training import Algorithm, DiscreteSAC, load_policy
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.ppo import PPO
+from fishrl.training.algorithms.sac import SAC
+from fishrl.training.learner import Learner
+from tests.training.conftest import QUICK, Toy
+
+ALGORITHMS = [DiscreteSAC(), SAC(), PPO(rollout_length=8)]
+
+
+def make_learner(toy: Toy, algorithm: Algorithm, **settings: object) -> Learner:
+    """Return a learner whose policy began as that of a finished training, with some transitions."""
+    task = {"is_continuous": isinstance(algorithm, SAC)}
+    toy.begin(name="first", algorithm=algorithm, task=task, **QUICK).run()
+    first = str(toy.folder / "first")
+    return toy.collect(algorithm, initial_policy=first, critic_frames=400, **settings)
+
+
+def answer(policy: torch.nn.Module, states: TensorDictBase) -> dict[str, torch.Tensor]:
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        written = policy(states.clone())
+    return {key: written[key] for key in ("logits", "loc", "action") if key in written}
+
+
+@pytest.mark.parametrize("is_scaled", [False, True], ids=["raw", "scaled"])
+@pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda a: type(a).__name__)
+def test_policy_acts_as_the_initial_one_while_critics_learn(
+    toy: Toy, algorithm: Algorithm, is_scaled: bool, traced_at_once: None
+) -> None:
+    learner = make_learner(toy, algorithm, scale_inputs=is_scaled, actor_average=100)
+    states = next(iter(toy.trainings[-1].collector)).reshape(-1)
+    expected = answer(load_policy(toy.folder / "first"), states)
+    before = [weight.clone() for weight in learner.loss.parameters()]
+    learner.rest_actor(True)
+    for _ in range(4):
+        learner.update()
+    for policy in (learner.explorer, learner.actor):
+        torch.testing.assert_close(answer(policy, states), expected, rtol=1e-3, atol=1e-4)
+    changed = [
+        not torch.equal(*pair) for pair in zip(before, learner.loss.parameters(), strict=True)
+    ]
+    assert any(changed)
+    learner.rest_actor(False)
+    for _ in range(4):
+        learner.update()
+    assert not torch.allclose(
+        *(next(iter(found.values())) for found in (answer(learner.explorer, states), expected))
+    )
+
+
+def test_policy_rests_until_its_critics_have_learned(toy: Toy) -> None:
+    toy.begin(name="first", **QUICK).run()
+    weights = load_policy(toy.folder / "first").state_dict()
+    given = {"initial_policy": str(toy.folder / "first"), "critic_frames": 80, **QUICK}
+    for frames, is_equal in ((152, True), (160, True), (168, False)):
+        training = toy.begin(name=f"{frames}", **given, total_frames=frames)
+        training.run()
+        own = training.learner.explorer.state_dict()
+        assert all(torch.equal(own[name], value) for name, value in weights.items()) == is_equal
+
+
+def test_other_policies_are_refused(toy: Toy) -> None:
+    toy.begin(name="first", **QUICK, total_frames=16).run()
+    given = {"name": "second", "initial_policy": str(toy.folder / "first")}
+    for wrong, message in (
+        (
+            {"algorithm": DQN()},
+            "algorithm = DQN: the initial_policy .* with DiscreteSAC; take that",
+        ),
+        ({"hidden": (8,)}, r"hidden = \(8,\): the initial_policy .* with \(16,\)"),
+        ({"task": {"is_continuous": True}, "algorithm": SAC()}, "algorithm = SAC"),
+        ({"initial_policy": str(toy.folder / "none")}, "there is none"),
+        ({"algorithm": DQN(), "scale_inputs": True}, "scale_inputs: .* targets of DQN"),
+        ({"algorithm": DQN(), "critic_frames": 9}, "critic_frames = 9: DQN has no critic"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            toy.begin(**given | wrong)
+        assert not (toy.folder / "second").exists()
