@@ -2,6 +2,7 @@
 
     python examples/imitate.py own_motion lateral_line
     python examples/imitate.py own_motion flow_label --streams 0.4 0.45 0.5
+    python examples/imitate.py own_motion lateral_line --teacher runs/<name>
 
 DAgger (Ross, Gordon & Bagnell 2011, AISTATS, algorithm 3.1): the student acts, the teacher, whose
 senses it lacks, says what it would have done there, and the student learns that from all that was
@@ -83,7 +84,7 @@ class Lesson:
     """A teacher, and a student with senses of its own, in flows where both can be observed.
 
     Args:
-        name: the teacher, in ``fishrl.zoo``: a policy with discrete actions for the Kármán gait.
+        name: the teacher, as in ``load_policy``: discrete actions for the Kármán gait.
         senses: what the student observes.
         budget: of the student.
         streams: their speeds in L/T, drawn per episode; by default the teacher's. A student with
@@ -101,11 +102,11 @@ class Lesson:
         streams: tuple[float, ...] = (),
     ) -> None:
         self.budget = budget
-        teacher, task = load_policy(f"zoo/{name}"), load_plan(f"zoo/{name}").task
+        teacher, task = load_policy(name), load_plan(name).task
         if not isinstance(task, KarmanGait) or task.num_label_inputs or task.action_bounds:
             raise ValueError(
                 f"teacher = {name}: give one for the Kármán gait with discrete actions and no flow "
-                "label, such as gait_bend"
+                "label, such as zoo/gait_bend"
             )
         if streams:
             stream = replace(task.stream, speeds_bl=streams)
@@ -193,7 +194,7 @@ def main() -> None:
     """Give a lesson, save the student, and try it from 24 starts for 40 T."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("senses", nargs="+", choices=get_args(SenseName), metavar="sense")
-    parser.add_argument("--teacher", default="gait_bend")
+    parser.add_argument("--teacher", default="zoo/gait_bend", help="or a run folder")
     parser.add_argument("--streams", nargs="*", type=float, default=[], metavar="L/T")
     parser.add_argument("--decisions", type=int, default=Budget.decisions)
     parser.add_argument("--stacked", type=int, default=Budget.num_stacked)

@@ -42,7 +42,7 @@ def run(arm: str, seed: int) -> dict[str, Any]:
     row: dict[str, Any] = {"observed": arm, "seed": seed}
     recognition = None
     if arm in ARMS:
-        lesson = Lesson("gait_bend", ARMS[arm], Budget(seed=seed), TAUGHT)
+        lesson = Lesson("zoo/gait_bend", ARMS[arm], Budget(seed=seed), TAUGHT)
         row["decisions"] = lesson.give()[-1][0]
         policy, task, recognition = lesson.policy, lesson.task, lesson.recognition
     assert isinstance(task, KarmanGait)

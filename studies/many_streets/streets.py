@@ -1,10 +1,12 @@
 """Train and score the arms of ``plan.md``.
 
+    export PYTHONPATH=.
     python studies/many_streets/streets.py train --arm label --seed 0    # continues a run
     python studies/many_streets/streets.py score --arm label --seed 0
     python studies/many_streets/streets.py table                         # of what is scored
 
-The other arms are runs of ``studies/benchmark/runs.py`` and ``studies/blind_by_reward/sweep.py``.
+``taught`` needs ``sight`` of its seed, and ``tuned`` needs ``taught``. The other arms are runs of
+``studies/benchmark/runs.py``, and policies that ``studies/blind_by_reward/sweep.py row`` leaves.
 """
 
 import argparse
@@ -15,9 +17,12 @@ from typing import Any
 
 import torch
 
+from examples.imitate import Budget, Lesson
 from fishrl.envs import Flows, Oracle, make_env, make_task, run_episodes
 from fishrl.programs.statistics import find_mean
 from fishrl.training import Plan, Training, complete, load_plan, load_policy, open_run
+from fishrl.training.algorithms.discrete_sac import DiscreteSAC
+from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.evaluation import fixed_starts
 
 SIGHT = ("place", "drift", "heading")
@@ -30,17 +35,20 @@ LINE: dict[str, Any] = {
 ARMS: dict[str, dict[str, Any]] = {
     "label": {**LINE, "observes": ("own_motion", "lateral_line", "flow_label")},
     "sight": {"num_stacked": 4, "observes": (*SIGHT, "own_motion")},
+    "tuned": LINE,
 }
 #: Run folders of all arms.
 RUNS = {
     "line": "runs/benchmark/streets-v1-discrete_sac-{}",
     "label": "runs/many_streets/label-{}",
     "sight": "runs/many_streets/sight-{}",
-    "one": "runs/blind_by_reward/line-sees-unit-no-history-{}",
-    "one-sight": "runs/blind_by_reward/sight-unit-{}",
+    "taught": "runs/many_streets/taught-{}",
+    "tuned": "runs/many_streets/tuned-{}",
+    "one": "runs/blind_by_reward/kept/line-sees-unit-no-history-{}",
+    "one-sight": "runs/blind_by_reward/kept/sight-unit-{}",
 }
 SCORES = Path(__file__).parent / "data"
-FRAMES, TIME = 60_000, 321  # decisions, 40 T
+FRAMES, LESSON, TIME = 60_000, 20_000, 321  # decisions; those of a lesson, of 40 T
 #: Speeds in L / T and diameters in L beyond those of training.
 OUTSIDE = ((0.35, 0.4), (0.6, 0.4), (0.5, 0.25), (0.5, 0.6))
 
@@ -49,7 +57,13 @@ def train(arm: str, seed: int) -> None:
     """Train an arm to its end, or continue it."""
     torch.set_num_threads(1)
     folder = Path(RUNS[arm].format(seed))
+    begin: dict[str, Any] = {}
+    if arm == "tuned":
+        begin = {"initial_policy": RUNS["taught"].format(seed), "critic_frames": 10_000}
+        begin["algorithm"] = DiscreteSAC(alpha_init=0.01)
+    frames = FRAMES - (LESSON if begin else 0)
     plan = Plan(
+        **begin,
         task=make_task("streets-v1", **ARMS[arm]),
         recognition=Oracle() if arm == "label" else None,
         seed=seed,
@@ -60,13 +74,13 @@ def train(arm: str, seed: int) -> None:
         updates_per_frame=1.0,
         batch_size=256,
         buffer_size=60_000,
-        total_frames=FRAMES,
+        total_frames=frames,
         folder=str(folder.parent),
         name=folder.name,
         log_frames=512,
         checkpoint_frames=4000,
         keep_checkpoints=1,
-        eval_frames=FRAMES,  # nothing is selected
+        eval_frames=frames,  # nothing is selected
         eval_episodes=1,
         final_episodes=1,
         baselines=(),
@@ -74,6 +88,18 @@ def train(arm: str, seed: int) -> None:
     opened = open_run(plan)
     if opened.summary is None:
         complete(Training(opened))
+
+
+def teach(seed: int) -> None:
+    """Teach a fish with a lateral line what one that sees does, in the same streets."""
+    torch.set_num_threads(1)
+    folder = Path(RUNS["taught"].format(seed))
+    if folder.is_dir():
+        return
+    teacher, budget = RUNS["sight"].format(seed), Budget(decisions=LESSON, seed=seed)
+    lesson = Lesson(teacher, ("own_motion", "lateral_line"), budget)
+    rounds, config = lesson.give(flows=Flows(num_envs=16)), lesson.plan.to_config()
+    save_checkpoint(folder, {"actor": lesson.policy}, spec=lesson.spec, frames=rounds[-1][0], config=config)
 
 
 def score(arm: str, seed: int) -> None:
@@ -130,8 +156,11 @@ if __name__ == "__main__":
     if options.what == "table":
         table()
     elif options.what == "train":
-        if options.arm not in ARMS:
+        if options.arm == "taught":
+            teach(options.seed)
+        elif options.arm in ARMS:
+            train(options.arm, options.seed)
+        else:
             parser.error(f"{options.arm} is trained elsewhere: see the plan")
-        train(options.arm, options.seed)
     else:
         score(options.arm, options.seed)

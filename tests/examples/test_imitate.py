@@ -14,7 +14,7 @@ pytestmark = pytest.mark.usefixtures("kinematic")
 
 def make_lesson(*more: SenseName, **changes: int) -> Lesson:
     budget, streams = Budget(**{"num_stacked": 2, **changes}), (0.4, 0.45, 0.5) if more else ()
-    lesson = Lesson("gait_bend", ("place", "heading", *more), budget, streams)
+    lesson = Lesson("zoo/gait_bend", ("place", "heading", *more), budget, streams)
     lesson.both = replace(lesson.both, time_limit=20)
     return lesson
 
@@ -63,7 +63,5 @@ def test_first_layer_takes_over_the_scaling() -> None:
 
 
 def test_teacher_of_another_task_is_refused() -> None:
-    with pytest.raises(
-        ValueError, match=r"teacher = predation_sharp: give one .* such as gait_bend"
-    ):
-        Lesson("predation_sharp", ("place",), Budget())
+    with pytest.raises(ValueError, match=r"teacher = zoo/predation_sharp: .* as zoo/gait_bend"):
+        Lesson("zoo/predation_sharp", ("place",), Budget())
