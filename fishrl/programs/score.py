@@ -118,7 +118,7 @@ def find_policy(policy: str, version: Version, *, trust: bool) -> Scored:
         plan.task.num_stacked,
         Checkpoint.find(policy).frames,
         None if plan.recognition is None else type(plan.recognition).__name__,
-        compare(plan.task, task),
+        compare(plan.task, task) + ["initial_policy"] * (plan.initial_policy is not None),
     )
 
 

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ from tensordict import TensorDictBase
 
 from fishrl.benchmark import find_version
 from fishrl.envs import Flows, make_env, make_task
-from fishrl.programs.score import main, score
+from fishrl.programs.score import find_policy, main, score
+from fishrl.training import load_plan
 from fishrl.wrappers.stable_baselines import FlowVecEnv
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -49,6 +51,14 @@ def test_run_is_scored_with_its_memory_and_what_differs_is_stored() -> None:
     assert row.kind == "run" and row.num_stacked == 16 and row.trained_decisions
     assert "safe_area.aside_bl" in row.differs and "num_stacked" not in row.differs
     assert row.versions.keys() == {"fishrl", "python", "torch", "torchrl", "tensordict"}
+
+
+def test_row_says_that_a_policy_began_as_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    version, plan = find_version("station-v1"), load_plan("zoo/gait_bend")
+    told = "initial_policy"
+    assert told not in find_policy("zoo/gait_bend", version, trust=False).differs
+    monkeypatch.setattr("fishrl.programs.score.load_plan", lambda _: replace(plan, **{told: "x"}))
+    assert told in find_policy("zoo/gait_bend", version, trust=False).differs
 
 
 def test_archive_needs_trust_and_acts_as_its_model(tmp_path: Path) -> None:
