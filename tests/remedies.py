@@ -26,6 +26,7 @@ from fishrl.physics import (
     Fish,
     FlowConfig,
     FlowState,
+    Free,
     Gait,
     ImmersedBoundary,
     InPlaceSolver,
@@ -35,6 +36,7 @@ from fishrl.physics import (
     Sponge,
     Strokes,
     compute_spectral_frequency,
+    compute_tau,
     measure_cycles,
     simulate,
 )
@@ -120,6 +122,13 @@ def advance(**given: Any) -> None:
     two.advance_(2)
 
 
+def lay_markers(**given: Any) -> None:
+    flow(bodies=(Cylinder(diameter=20, **given),))
+
+
+LIGHT = Cylinder(diameter=16, density_ratio=0.7, motion=Free())
+
+
 def go_through(compile: bool) -> None:
     torch.func.vmap(lambda x: run(compile=compile)[0].f * x)(torch.ones(1))
 
@@ -127,6 +136,18 @@ def go_through(compile: bool) -> None:
 FLOWS: list[tuple[Any, ...]] = [
     (lambda velocity: Boundaries(left=NonEquilibrium(velocity=velocity)), None, (1, 0)),
     (lambda name: hash_sources(name), "nothing.such", "fishrl.envs"),
+    (flow, "tau", 0.5, 0.55),
+    (flow, "tau", 3.0, 1.5),
+    (partial(flow, boundaries=FAST), "stream_speed", 0.9, 0.2),
+    (partial(compute_tau, length=24.0, speed=0.07), "reynolds", 20000.0, 1000.0),
+    (partial(compute_tau, speed=0.1, reynolds=1.0), "length", 24.0, 2.0),
+    (partial(Scales, body_length=100, reynolds=7000.0), "period", 400, 800),
+    (partial(Scales, body_length=100, period=600), "reynolds", 1e6, 1e4),
+    (partial(Scales.from_budget, body_length=24), "reynolds", 1e5, 1e3),
+    (lay_markers, "inset", 0.4, OUT),
+    (lay_markers, "num_markers", 20, OUT),
+    (lay_markers, "marker_spacing", 1.5, OUT),
+    (partial(flow, bodies=(LIGHT,)), "skin", SOFT, BounceBack()),
     (lambda samples: compute_spectral_frequency(WAVE[:samples], 1.0), 3, 4),
     (lambda samples: measure_cycles(WAVE[:samples], 1.0), 90, 400),
     (scale, "period", 601, 602),
@@ -226,6 +247,13 @@ STARTS = TASK.sample_starts(2, torch.Generator().manual_seed(0))
 FOOD, NONE = TASK.locate_food(STARTS, torch.zeros(2)), torch.zeros(2, dtype=torch.float64)
 FROZEN, STEERED, PID = "station-v1", [of.mirrored_actions for of in (Steady, Turn)], PIDSteering()
 ENVS: list[tuple[Any, ...]] = [
+    (partial(Predation, control=Bend(), levels=1), "wall_margin_bl", 0.01, 0.2),
+    (lambda response_T: Predation(control=Bend(response_T=response_T)), 0.05, 0.2),
+    (Predation, "reynolds", 1e5, 1e3),
+    (partial(Predation, control=Turn(turn_degrees=170.0)), "max_wall_speed", 0.15, 0.07),
+    (Predation, "start_x_bl", (9.5, 9.6), (4.5, 7.5)),
+    (PredationPair, "start_gap_bl", 4.5, 1.0),
+    (StreamSwitches, "interval_T", 0.9, 2.0),
     (food, "food_limits_bl", (3.5, 1.5), (1.5, 3.5)),
     (food, "food_speed_bl", (0.5, 0.2), (0.2, 0.5)),
     (food, "turn_degrees", 10.0, OUT),

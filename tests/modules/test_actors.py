@@ -40,18 +40,6 @@ def test_illegal_actions_have_probability_zero() -> None:
     assert torch.allclose(probs.sum(-1), torch.ones(500))
 
 
-def test_generator_determines_weights() -> None:
-    def draw(seed: int) -> list[torch.Tensor]:
-        torch.rand(1)  # advances the global generator
-        generator = torch.Generator().manual_seed(seed)
-        actor = make_actor(num_inputs=16, num_actions=3, generator=generator)
-        return list(actor.parameters())
-
-    first, second, other = draw(7), draw(7), draw(8)
-    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
-    assert not torch.equal(first[0], other[0])
-
-
 def test_continuous_actions_are_bounded_and_deterministic_on_request() -> None:
     td = states(2000).exclude("action_mask")
     actor = make_continuous_actor(num_inputs=16, num_actions=2, hidden=(32,))

@@ -74,15 +74,6 @@ def test_confusion_counts_true_classes_in_rows() -> None:
     assert score.accuracy == pytest.approx(2 / 3)
 
 
-def test_generator_determines_fit() -> None:
-    parts, networks = make_parts(12), [make_network() for _ in range(2)]
-    for network in networks:
-        torch.rand(1)  # advances the global generator
-        fit(network, parts, settings=FitSettings(num_epochs=2), noise=0.1)
-    for a, b in zip(*(network.parameters() for network in networks), strict=True):
-        assert torch.equal(a, b)
-
-
 @pytest.mark.parametrize("patience", [5, None])
 def test_patience_keeps_weights_of_lowest_validation_loss(patience: int | None) -> None:
     parts, network = make_parts(12), make_network()

@@ -4,10 +4,6 @@ import csv
 import errno
 import fcntl
 import json
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +18,6 @@ from fishrl.programs.sweeps.runs import advise, read_run, read_runs
 from fishrl.settings import describe
 from fishrl.training import Classifier
 from fishrl.training.run_folder import HeldError, RunFolder, write_yaml
-
-ROOT = Path(__file__).parents[2]
 
 
 def write_run(
@@ -203,29 +197,6 @@ def test_incomplete_runs_are_named(tmp_path: Path) -> None:
     (run / "summary.json").write_text("{")
     with pytest.raises(ValueError, match=r"run/summary.json: damaged .* repair or delete it"):
         read_runs(tmp_path)
-
-
-@contextmanager
-def hold_elsewhere(path: Path) -> Iterator[Any]:
-    """Let another process hold a run until it is killed."""
-    code = f"import fcntl, sys, time; held = open({str(RunFolder(path).lock)!r}, 'a'); "
-    code += "fcntl.flock(held, fcntl.LOCK_EX); print(1, flush=True); sys.stdin.read()"
-    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "cwd": ROOT}
-    with subprocess.Popen([sys.executable, "-c", code], **pipes) as holder:
-        assert holder.stdout.readline() == b"1\n"
-        yield holder
-        holder.kill()
-
-
-def test_run_is_locked_until_its_process_is_killed(tmp_path: Path) -> None:
-    path = write_run(tmp_path, "run", summary=summary_of(1.0))
-    with hold_elsewhere(path):
-        assert read_run(path).status == "running"
-        assert "rerun" not in summarize.summarize(tmp_path)
-        with pytest.raises(HeldError, match="another training writes it; wait for it or end it"):
-            RunFolder(path).hold()
-    assert read_run(path).status == "finished"
-    RunFolder(path).hold().close()
 
 
 def test_file_system_without_locks_is_tolerated(

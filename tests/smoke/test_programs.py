@@ -146,22 +146,6 @@ def test_continuous_policy_is_trained_and_exported(algorithm: str, tmp_path: Pat
 
 
 @pytest.mark.usefixtures("kinematic")
-@pytest.mark.parametrize(
-    ("task", "policy"),
-    [
-        *(("predation", name) for name in ("random", "pursuit", "intercept")),
-        ("follower", "keep_place"),
-        *(("karman_gait", name) for name in ("pid", "passive", "bang_bang", "shedding")),
-    ],
-)
-def test_each_baseline_is_evaluated(task: str, policy: str) -> None:
-    chosen = [f"policy={policy}", f"task={task}", *set_task(KINEMATIC), "task.time_limit=2"]
-    if task == "predation":  # pursuers decide once per T
-        chosen += ["task.control_interval_T=1", "task.checks_per_action=25"]
-    _run("evaluate", *chosen, "episodes=2", "flows.num_envs=2", *EAGER)
-
-
-@pytest.mark.usefixtures("kinematic")
 def test_policy_is_scored(tmp_path: Path) -> None:
     chosen = ["policy=pursuit", "task=predation-quick-v1", "split=validation"]
     _run("score", *chosen, *EAGER, "flows.num_envs=32", f"save={tmp_path / 'row.json'}")

@@ -163,29 +163,18 @@ def test_every_loss_that_ray_knows_is_noticed_and_errors_of_collectors_are_passe
             raise error
 
 
-@pytest.mark.parametrize("when", ["collect", "save"])
-def test_training_continues_from_its_checkpoint_whatever_was_asked_when_a_machine_was_lost(
-    toy: Toy, monkeypatch: pytest.MonkeyPatch, when: str
+def test_training_continues_from_its_checkpoint_when_a_machine_is_lost_while_saving(
+    toy: Toy, monkeypatch: pytest.MonkeyPatch, whole: Training
 ) -> None:
     """Without Ray: the local collector raises what losses are turned into."""
-    lost = ChildProcessError("a collector of the Ray cluster is lost")
-    calls = itertools.count(1)
-    whole = toy.begin(name="whole", **QUICK)
-    complete(whole)
+    calls, save = itertools.count(1), ResumableCollector.state_dict
 
-    def lose(method: Any, numbers: tuple[int, ...]) -> Any:
-        def call(*arguments: Any, **named: Any) -> Any:
-            if next(calls) in numbers:
-                raise lost
-            return method(*arguments, **named)
-
-        return call
+    def lose(collector: ResumableCollector) -> Any:
+        if next(calls) == 3:
+            raise ChildProcessError("a collector of the Ray cluster is lost")
+        return save(collector)
 
     training = toy.begin(name="run", **QUICK)
-    if when == "collect":
-        monkeypatch.setattr(Training, "_collect", lose(Training._collect, (17,)))
-    else:
-        state = ResumableCollector.state_dict
-        monkeypatch.setattr(ResumableCollector, "state_dict", lose(state, (3,)))
+    monkeypatch.setattr(ResumableCollector, "state_dict", lose)
     complete(training)
     assert toy.rows("run") == read_rows(whole.folder.path)

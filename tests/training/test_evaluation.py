@@ -5,25 +5,7 @@ from dataclasses import replace
 
 import torch
 
-from fishrl.envs import Flows
-from fishrl.envs.episodes import Episodes, run_episodes
-from fishrl.modules import RandomPolicy
-from fishrl.training.evaluation import fixed_starts
-from tests.training.toy_fish import ToyPredation, make_toy_env
-
-
-def test_evaluation_repeats_even_on_an_env_that_was_used() -> None:
-    env, ended = make_toy_env(task=ToyPredation(), flows=Flows(num_envs=5), seed=5), list[int]()
-    drawn = [fixed_starts(ToyPredation(), 12, seed=seed) for seed in (0, 0, 1)]
-    first, again, other = (
-        run_episodes(env, RandomPolicy(seed=seed), starts, on_episodes=ended.append)
-        for seed, starts in zip((1, 1, 2), (drawn[0], drawn[1], drawn[0]), strict=True)
-    )
-    assert sum(ended) == 3 * 12
-    assert torch.equal(first.returns, again.returns)
-    assert not torch.equal(first.returns, other.returns)
-    assert (env.reset()["start_index"] == -1).all()  # it draws its own starts again
-    assert not torch.equal(drawn[0]["position"], drawn[2]["position"])
+from fishrl.envs.episodes import Episodes
 
 
 def test_metrics_average_over_starts_and_time_over_successes() -> None:

@@ -6,7 +6,6 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from fishrl.training import Algorithm, DiscreteSAC, load_policy
-from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.learner import Learner
@@ -64,22 +63,3 @@ def test_policy_rests_until_its_critics_have_learned(toy: Toy) -> None:
         training.run()
         own = training.learner.explorer.state_dict()
         assert all(torch.equal(own[name], value) for name, value in weights.items()) == is_equal
-
-
-def test_other_policies_are_refused(toy: Toy) -> None:
-    toy.begin(name="first", **QUICK, total_frames=16).run()
-    given = {"name": "second", "initial_policy": str(toy.folder / "first")}
-    for wrong, message in (
-        (
-            {"algorithm": DQN()},
-            "algorithm = DQN: the initial_policy .* with DiscreteSAC; take that",
-        ),
-        ({"hidden": (8,)}, r"hidden = \(8,\): the initial_policy .* with \(16,\)"),
-        ({"task": {"is_continuous": True}, "algorithm": SAC()}, "algorithm = SAC"),
-        ({"initial_policy": str(toy.folder / "none")}, "there is none"),
-        ({"algorithm": DQN(), "scale_inputs": True}, "scale_inputs: .* targets of DQN"),
-        ({"algorithm": DQN(), "critic_frames": 9}, "critic_frames = 9: DQN has no critic"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            toy.begin(**given | wrong)
-        assert not (toy.folder / "second").exists()

@@ -10,7 +10,7 @@ import torch
 from fishrl.envs import Flows, KarmanGait, Oracle, Predation, make_env
 from fishrl.envs.streams import Stream
 from fishrl.physics import InPlaceSolver
-from fishrl.programs.sweeps.runs import read_run
+from fishrl.programs.sweeps.runs import advise, read_run
 from fishrl.training import Plan, complete, open_run
 from fishrl.training.loop import Training
 from fishrl.training.run_folder import HeldError, RunFolder
@@ -42,6 +42,7 @@ def test_wrong_observation_size_is_told_before_compiling(monkeypatch: pytest.Mon
         ({"flows": Flows(device="cuda:99")}, "CUDA devices"),
         ({"name": ""}, "name = '': must have at least 1 character"),
         ({"scale_inputs": True, "warmup_frames": 0}, "warmup_frames = 0: .* raise it"),
+        ({"initial_policy": "nowhere"}, "checkpoint nowhere: there is none"),
         ({"buffer_size": 10**12}, "buffer .* GB: more than the .* GB of cpu"),
     ],
 )
@@ -51,16 +52,12 @@ def test_invalid_settings_leave_no_folder(toy: Toy, wrong: dict[str, Any], messa
     assert not list(toy.folder.iterdir())
 
 
-@pytest.mark.parametrize("below", ["runs", "run"])
 def test_folder_that_cannot_be_written_is_named_before_anything_is_done(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, below: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A file stands where the folder of runs would be, or a folder where the run has its lock."""
+    """A folder stands where the run has its lock."""
     monkeypatch.setattr(Training, "_set_up", lambda _: pytest.fail("set up"))
-    if below == "runs":
-        (tmp_path / "runs").touch()
-    else:
-        (tmp_path / "runs" / "run" / ".lock").mkdir(parents=True)
+    (tmp_path / "runs" / "run" / ".lock").mkdir(parents=True)
     opened = open_run(make_toy_plan(tmp_path / "runs", name="run"))
     with pytest.raises(ValueError, match=r"folder .*runs.*run: cannot be written .*folder=\.\.\."):
         Training(opened)
@@ -149,6 +146,7 @@ def test_error_is_raised_though_it_cannot_be_noted(tmp_path: Path) -> None:
 
 def test_one_process_trains_a_run_once(toy: Toy) -> None:
     first = toy.begin(**QUICK, name="run")
+    assert "rerun" not in advise([read_run(first.folder.path)])
     for _ in range(2):  # a look at the run lets nobody in
         assert read_run(first.folder.path).status == "running"
         with pytest.raises(HeldError, match="another training writes it"):

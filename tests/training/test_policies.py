@@ -5,18 +5,13 @@ from typing import Any
 import pytest
 
 from fishrl.envs import Flows, Oracle, PredictedFlowLabel, TrueFlowLabel
-from fishrl.training import Algorithm, DiscreteSAC, evaluate, load_plan, load_policy
+from fishrl.training import Algorithm, DiscreteSAC, evaluate, load_plan
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
-from fishrl.training.loop import Training
 from fishrl.training.policies import prepare
 from fishrl.zoo import find_policy
 from tests.training.conftest import QUICK, Toy
 from tests.training.toy_fish import ToyPredation
-
-
-class OtherTask(ToyPredation):
-    pass
 
 
 @pytest.mark.parametrize(
@@ -50,15 +45,3 @@ def test_evaluate_takes_baseline_names_and_policies() -> None:
     assert still["episodes"] == 4
     with pytest.raises(ValueError, match="did you mean 'pursuit'"):
         evaluate("pursiut", **given)
-
-
-@pytest.mark.parametrize(
-    ("task", "said"),
-    [
-        (OtherTask(), "trained with task = 'ToyPredation', the current one is 'OtherTask'"),
-        (ToyPredation(is_continuous=True), "is_continuous = False, the current one is True"),
-    ],
-)
-def test_policy_of_another_task_is_refused(whole: Training, task: ToyPredation, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        load_policy(whole.folder.path, task=task)

@@ -16,7 +16,6 @@ from fishrl.training import (
     LearningSettings,
     RunSettings,
     complete,
-    evaluate,
     open_run,
     resume,
     train,
@@ -28,31 +27,10 @@ from fishrl.training.algorithms.sac import SAC
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
 from fishrl.training.run_folder import read_config, write_yaml
-from tests.envs.conftest import SMALL
 from tests.envs.test_real_flow import TINY
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, read_rows
 from tests.training.stops import run_and_kill, run_and_stop
 from tests.training.toy_fish import ToyFishEnv, ToyPredation
-
-
-@pytest.mark.usefixtures("kinematic")
-def test_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path) -> None:
-    summary = train(
-        task=Predation(**SMALL, time_limit=6),
-        algorithm=DiscreteSAC(target_entropy_weight=0.2),
-        learning=LearningSettings(
-            flows=Flows(num_envs=4, compile=False), warmup_frames=8, buffer_size=100, hidden=(16,)
-        ),
-        run=RunSettings(total_frames=40, folder=str(tmp_path), name="first", final_episodes=3),
-    )
-    result = evaluate(tmp_path / "first", episodes=3, flows=Flows(num_envs=4, compile=False))
-    assert result["mean_return"] == summary["mean_return"]
-    longer = resume(tmp_path / "first", total_frames=48)
-    assert (summary["frames"], longer["frames"]) == (40, 48)
-    with pytest.raises(TypeError, match="total_frames"):  # a setting of ``run``
-        train(task=Predation(**SMALL), total_frames=48)
-    with pytest.raises(TypeError, match="'episode'"):
-        evaluate(tmp_path / "first", episode=3)
 
 
 def test_run_in_real_flow_resumes_exactly_amid_episodes(tmp_path: Path) -> None:

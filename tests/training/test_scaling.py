@@ -55,11 +55,6 @@ def test_loss_reads_zero_mean_and_unit_deviation(toy: Toy, monkeypatch: pytest.M
     torch.testing.assert_close(scaled, change / deviation.repeat(4), rtol=1e-4, atol=1e-5)
 
 
-def test_scale_needs_a_warm_up(toy: Toy) -> None:
-    with pytest.raises(ValueError, match=r"warmup_frames = 0: .*; raise it"):
-        toy.begin(algorithm=DQN(), scale_inputs=True, warmup_frames=0)
-
-
 def test_constant_numbers_are_only_shifted() -> None:
     scale = InputScale({"observation_stack": (4, 2)})
     stack = torch.tensor([[5.0, 1.0, 5.0, 3.0], [5.0, 1.0, 5.0, 3.0]])

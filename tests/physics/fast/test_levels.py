@@ -155,20 +155,6 @@ def test_vorticity_of_a_parabola_is_exact_across_levels_up_to_the_skin(levels: i
         assert error.max() < 2e-9 + at_skin and error.median() < 2e-9
 
 
-def test_patches_that_meet_are_refused_and_end_their_flow() -> None:
-    config = make_config(bodies=(FISH, FISH), width=321)
-    solver = InPlaceSolver(config=config, num_envs=1, compile=False, num_workers=0)
-    every, heading = torch.ones(1, dtype=torch.bool), torch.tensor([[math.pi, math.pi]])
-    near = torch.tensor([[[80.0, 48.0], [120.0, 48.0]]])
-    with pytest.raises(ValueError, match="patches of"):
-        solver.reset_(every, near, heading)
-    near[0, 1, 0] = 150.0
-    solver.reset_(every, near, heading)
-    assert not solver.is_diverged().any()
-    solver._batch.grids[1].origin[0, 0] += 20
-    assert solver.is_diverged().all()
-
-
 def test_bodies_beyond_their_patch_are_refused_and_end_their_flow() -> None:
     box = Patch(bodies=(0,), size=(60, 60), centre=(80.0, 48.0))
     solver = start(make_config(patches=(box,)))
