@@ -44,19 +44,8 @@ GROUPS = {
 
 def run(settings: BenchmarkSettings) -> Results:
     """Make the cases of the chosen groups and of the probes, and measure them, on some threads."""
-    before = os.environ.get("OMP_NUM_THREADS"), torch.get_num_threads()
     os.environ["OMP_NUM_THREADS"] = str(settings.threads)  # of the processes that are started
     torch.set_num_threads(settings.threads)
-    try:
-        return _run(settings)
-    finally:
-        torch.set_num_threads(before[1])
-        del os.environ["OMP_NUM_THREADS"]
-        if before[0] is not None:
-            os.environ["OMP_NUM_THREADS"] = before[0]
-
-
-def _run(settings: BenchmarkSettings) -> Results:
     for group in set(settings.groups) - set(GROUPS):
         raise unknown(group, sorted(GROUPS))
     chosen = {"probe", *(settings.groups or GROUPS)}

@@ -8,9 +8,9 @@ from fishrl.physics import InPlaceSolver
 from fishrl.torch_state import in_own_state
 
 #: Column of each part, by the beginning of its name.
-COLUMNS = {"collision": "collision", "reflection": "exchange", "coupling": "exchange"}
-COLUMNS |= dict.fromkeys(("skin", "moved skin", "contact", "moved contact"), "skin")
-COLUMNS |= {"uncovering": "uncovering", "edges": "edges", "crossing": "edges"}
+COLUMNS = dict.fromkeys(("reflection", "coupling", "exchange"), "exchange")
+COLUMNS |= {"collision": "collision", "contact": "skin", "uncovering": "uncovering"}
+COLUMNS |= dict.fromkeys(("edges", "crossing"), "edges")
 COLUMNS |= dict.fromkeys(("filling", "restriction", "shift choice"), "interface")
 #: Calls of an even and an odd step of the coarsest level, by column.
 Steps = list[list[tuple[str, list[Callable[[], object]]]]]

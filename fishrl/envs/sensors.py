@@ -24,14 +24,9 @@ def wrap_angle(angle: Tensor) -> Tensor:
 
 
 def compute_bearing_error(heading: Tensor, away: Tensor) -> Tensor:
-    """Return the angle between the heading and a direction.
+    """Return the angle ``[B]`` from the heading ``[B]`` to a direction ``[B, 2]`` of any length.
 
-    Args:
-        heading: ``[B]`` heading of the fish, radians.
-        away: ``[B, 2]`` direction (x, y), not normalised.
-
-    Returns:
-        ``[B]`` in (-pi, pi] radians, positive to the left (counter-clockwise); 0 for a zero vector.
+    It lies in (-pi, pi] radians, positive to the left (counter-clockwise); 0 for a zero vector.
     """
     cos, sin = torch.cos(heading), torch.sin(heading)
     ahead = cos * away[:, 0] + sin * away[:, 1]
@@ -43,17 +38,9 @@ def compute_bearing_error(heading: Tensor, away: Tensor) -> Tensor:
 
 
 def sense_target(head: Tensor, heading: Tensor, target: Tensor, *, body_length: float) -> Tensor:
-    """Return the position of a target relative to the head.
+    """Return where a target ``[B, 2]`` is from the nose ``[B, 2]``, both in nodes: ``TARGET``.
 
-    Args:
-        head: ``[B, 2]`` nose (x, y) in nodes.
-        heading: ``[B]`` heading of the fish, radians.
-        target: ``[B, 2]`` (x, y) in nodes.
-        body_length: L in nodes.
-
-    Returns:
-        ``[B, 4]``: x and y of the target from the head and their distance in body lengths, and the
-        bearing error in (-pi, pi] radians.
+    That is ``[B, 4]``, lengths in body lengths; ``heading`` ``[B]`` is in radians.
     """
     away = (target - head) / body_length
     distance = (away * away).sum(-1).sqrt()
@@ -62,14 +49,9 @@ def sense_target(head: Tensor, heading: Tensor, target: Tensor, *, body_length: 
 
 
 def compute_clearance(markers: Tensor, flow: FlowConfig) -> Tensor:
-    """Return the distance of an outline from the nearest of ``flow.edges``; negative outside.
+    """Return how far markers ``[B, N, 2]`` are from the nearest of ``flow.edges``, ``[B]``, nodes.
 
-    Args:
-        markers: ``[B, N, 2]`` (x, y) in nodes.
-        flow: gives the edges.
-
-    Returns:
-        ``[B]`` in nodes; NaN if a marker is NaN.
+    Negative outside, and NaN if a marker is NaN.
     """
     x, y = markers.unbind(-1)
     (left, bottom), (right, top) = flow.edges
@@ -78,14 +60,6 @@ def compute_clearance(markers: Tensor, flow: FlowConfig) -> Tensor:
 
 
 def compute_gap(one: Tensor, other: Tensor) -> Tensor:
-    """Return the smallest distance between the markers of two outlines.
-
-    Args:
-        one: ``[B, N, 2]`` (x, y) in nodes.
-        other: ``[B, M, 2]``.
-
-    Returns:
-        ``[B]`` in nodes.
-    """
+    """Return the smallest distance ``[B]`` between markers ``[B, N, 2]`` of two outlines, nodes."""
     distance = torch.cdist(one, other, compute_mode="donot_use_mm_for_euclid_dist")
     return distance.flatten(1).amin(-1)

@@ -7,7 +7,6 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
-from torchrl.data import Categorical
 from torchrl.envs import TensorDictPrimer
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import EGreedyModule, LSTMModule, QValueModule
@@ -122,27 +121,9 @@ class RecurrentPolicy(TensorDictModuleBase):
 class EpsilonGreedy(EGreedyModule):
     """Epsilon-greedy exploration: replace a decaying share of actions by random legal ones.
 
-    Append it to a greedy policy. It is inactive under ``ExplorationType.DETERMINISTIC``. The buffer
-    ``eps`` decays linearly from ``start`` to ``end`` over ``num_frames`` decisions.
+    Append it to a greedy policy. It is inactive under ``ExplorationType.DETERMINISTIC``. Arguments
+    are those of TorchRL's module; ``eps`` decays with each decision, without calls of ``step``.
     """
-
-    def __init__(
-        self,
-        *,
-        num_actions: int,
-        start: float = 1.0,
-        end: float = 0.05,
-        num_frames: int = 1000,
-        device: torch.device | str = "cpu",
-    ) -> None:
-        super().__init__(
-            Categorical(num_actions, device=device),
-            eps_init=start,
-            eps_end=end,
-            annealing_num_steps=num_frames,
-            action_mask_key="action_mask",
-            device=torch.device(device),
-        )
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Replace a share ``eps`` of the actions ``[B]`` and advance the decay."""

@@ -21,17 +21,8 @@ def check_placement(
 ) -> None:
     """Raise ValueError if bodies of the flows in ``rows`` ``[B]`` overlap or leave the grid.
 
-    For set-up: it reads its result on the host, which waits for a GPU. A graph that repeats it does
-    not.
-
-    Args:
-        config: configuration of the flows.
-        params: parameters of each body.
-        states: state of each body.
-        rows: bool, flows to check.
-
-    Raises:
-        ValueError: naming the first flow and bodies that are misplaced.
+    It names the first flow and bodies that are misplaced. For set-up: it reads its result on the
+    host, which waits for a GPU. A graph that repeats it does not.
     """
     if rows.is_cuda and torch.cuda.is_current_stream_capturing():
         return

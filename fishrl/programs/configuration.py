@@ -211,13 +211,7 @@ def split_options(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def run_hydra(run: Callable[[DictConfig], None], name: str | None, words: Sequence[str]) -> None:
-    """Run hydra on a command line written by ``CommandLine.prepare``.
-
-    Args:
-        run: called with what hydra composes.
-        name: name of a program.
-        words: options of hydra, and overrides.
-    """
+    """Run what hydra composes for a program from the words of ``CommandLine.prepare``."""
     arguments, variables = list(sys.argv), dict(os.environ)
     sys.argv[1:] = words
     os.environ["HYDRA_FULL_ERROR"] = "1"  # let hydra raise its errors

@@ -7,9 +7,9 @@ from typing import Any
 
 from fishrl.files import claim_file
 from fishrl.programs.live import LiveView
-from fishrl.programs.program import take
+from fishrl.programs.program import program, take
 from fishrl.programs.statistics import find_share, show
-from fishrl.programs.stored_task import policy_program
+from fishrl.programs.stored_task import POLICY
 from fishrl.settings import to_plain
 from fishrl.training import evaluate
 from fishrl.training.progress import Progress
@@ -17,7 +17,7 @@ from fishrl.training.run_folder import write_json
 from fishrl.viewer import ViewerSettings
 
 
-@policy_program(ViewerSettings)
+@program(evaluate, ViewerSettings, **POLICY)
 def main(*, preset: str | None = None, save: str | None = None, **given: Any) -> None:
     """Evaluate, print the result, and store it where ``save`` says.
 

@@ -29,12 +29,12 @@ from fishrl.extras import show_install
 from fishrl.files import claim_file
 from fishrl.pages import write_csv
 from fishrl.programs.export_policy import read_revision
-from fishrl.programs.program import ending_in
-from fishrl.programs.stored_task import policy_program
+from fishrl.programs.program import ending_in, program
+from fishrl.programs.stored_task import POLICY
 from fishrl.settings import describe
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.evaluation import fixed_starts
-from fishrl.training.policies import prepare
+from fishrl.training.policies import evaluate, prepare
 from fishrl.training.progress import Progress
 from fishrl.viewer.fields import WRITERS, make_dataset, read_fields, write_netcdf
 from fishrl.viewer.signals import make_table, read_signals
@@ -62,12 +62,8 @@ def record(
 ) -> tuple[dict[str, Tensor], AbstractTask]:
     """Run one episode and return the series ``[F, ...]`` of what is read, and the task.
 
-    Args:
-        read: returns values ``[B, ...]`` by name, the time first.
-        periods: T after which the episode is cut; None runs it to its end.
-        frames_per_T: frames per period, approximately.
-        callback: called as it advances.
-        **given: arguments of ``evaluate`` but the number of episodes.
+    ``read`` returns values ``[B, ...]`` by name, the time first; other arguments are those of
+    ``main`` and ``evaluate``.
     """
     given["flows"] = replace(given["flows"], num_envs=1)
     env, policy = prepare(**given, callback=callback)
@@ -128,7 +124,7 @@ def describe_episode(task: AbstractTask, *, policy: str, seed: int) -> dict[str,
     }
 
 
-@policy_program(without=("callbacks", "episodes"))
+@program(evaluate, **POLICY | {"without": ("callbacks", "episodes")})
 def main(
     *,
     save: Annotated[str, ending_in(*WRITERS, TABLE)],

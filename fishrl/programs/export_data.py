@@ -13,13 +13,14 @@ from typing import Any
 
 from pydantic import PositiveInt
 
-from fishrl.programs.stored_task import policy_program
+from fishrl.programs.program import program
+from fishrl.programs.stored_task import POLICY
 from fishrl.training.evaluation import fixed_starts
-from fishrl.training.policies import prepare
+from fishrl.training.policies import evaluate, prepare
 from fishrl.training.progress import Progress
 
 
-@policy_program()
+@program(evaluate, **POLICY)
 def main(
     *,
     name: str,

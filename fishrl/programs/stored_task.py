@@ -1,38 +1,15 @@
 """Programs that run a policy, by default in the task of the policy's run."""
 
-from collections.abc import Callable
 from typing import Any
 
 from fishrl.programs.configuration import Node
-from fishrl.programs.program import Program, program
 from fishrl.training.checkpoint import Checkpoint
-from fishrl.training.policies import evaluate, is_learned
+from fishrl.training.policies import is_learned
 from fishrl.training.run_folder import read_summary
 from fishrl.zoo import find_folder
 
 #: Settings that choose the episode of ``fishrl view``.
 _TYPICAL = ("episodes", "shown_flows")
-
-
-def policy_program(
-    *parts: type,
-    without: tuple[str, ...] = ("callbacks",),
-    positional: str | None = None,
-    shows_typical: bool = False,
-) -> Callable[[Callable[..., None]], Program]:
-    """Make a program that takes the arguments of ``evaluate``; see ``program``.
-
-    With ``shows_typical``, ``episodes`` and ``shown_flows`` are those of a typical episode of the
-    policy's final evaluation, unless the command line asks for other episodes.
-    """
-    return program(
-        evaluate,
-        *parts,
-        without=without,
-        groups={"task": "predation", "preset": None},
-        stored=read_typical if shows_typical else read_task,
-        positional=positional,
-    )
 
 
 def read_task(given: Node) -> Node:
@@ -50,6 +27,14 @@ def read_task(given: Node) -> Node:
     if not {"task", "preset"} & set(given):
         found |= {name: trained[name] for name in ("task", "preset") if name in trained}
     return found
+
+
+#: Arguments of ``program`` for those that run a policy.
+POLICY: dict[str, Any] = {
+    "without": ("callbacks",),
+    "groups": {"task": "predation", "preset": None},
+    "stored": read_task,
+}
 
 
 def read_typical(given: Node) -> Node:

@@ -19,12 +19,12 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from fishrl.envs.episodes import count_decisions
 from fishrl.envs.scene import Frame
 from fishrl.files import claim_file
-from fishrl.programs.program import ending_in, take
+from fishrl.programs.program import ending_in, program, take
 from fishrl.programs.statistics import find_share
-from fishrl.programs.stored_task import policy_program, read_result
+from fishrl.programs.stored_task import POLICY, read_result, read_typical
 from fishrl.training.callback import Callback
 from fishrl.training.evaluation import fixed_starts
-from fishrl.training.policies import prepare
+from fishrl.training.policies import evaluate, prepare
 from fishrl.training.progress import Progress
 from fishrl.viewer import (
     Recording,
@@ -136,7 +136,7 @@ def wait_for_interrupt() -> None:
             clock.sleep(1.0)
 
 
-@policy_program(ViewerSettings, positional="recording", shows_typical=True)
+@program(evaluate, ViewerSettings, **POLICY | {"stored": read_typical}, positional="recording")
 def main(
     *,
     recording: str | None = None,

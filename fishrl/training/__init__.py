@@ -1,21 +1,4 @@
-"""Train a policy for any task, evaluate it, load it again.
-
-Example::
-
-    from fishrl.envs import Flows, Predation
-    from fishrl.training import DiscreteSAC, LearningSettings, RunSettings, evaluate, train
-
-    summary = train(
-        task=Predation(body_length=40, reynolds=2000),
-        algorithm=DiscreteSAC(target_entropy_weight=0.1),
-        learning=LearningSettings(seed=1, flows=Flows(num_envs=8)),
-        run=RunSettings(total_frames=2000, folder="runs", name="first"),
-    )
-    print(summary["success_rate"], summary["random_success_rate"])
-    print(evaluate("runs/first", episodes=64))
-
-``resume("runs/first", total_frames=4000)`` continues a finished or interrupted run exactly.
-"""
+"""Train a policy for any task (``train``, ``resume``), evaluate it, load it again."""
 
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC

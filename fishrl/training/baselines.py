@@ -219,10 +219,7 @@ def make_tuned_pid(
 ) -> GaitPolicy:
     """Make ``pid`` for a fish that bends, with numbers that were searched in ``station-v1``.
 
-    Args:
-        task: the task.
-        seed: not used.
-        numbers: in the order and units of ``TUNED``, floats or ``[B]``.
+    These are in the order and units of ``TUNED``, floats or ``[B]``.
     """
     station, gain, damping, course, course_damping, bend, yaw_damping = numbers
     policy = make_gait_policy(PID(station_bl=station, gain=gain, damping=damping), task)

@@ -61,9 +61,4 @@ class Reflection(nn.Module):
     def forward(self, transitions: TensorDictBase) -> TensorDictBase:
         """Return transitions ``[N]``, half of them reflected."""
         rows = torch.rand(transitions.shape, device=self.get_buffer("action").device) < 0.5
-        return transitions.apply(
-            lambda plain, image: torch.where(
-                rows.view(-1, *(1,) * (plain.dim() - 1)), image, plain
-            ),
-            self.reflect(transitions),
-        )
+        return transitions.where(~rows, self.reflect(transitions))

@@ -174,11 +174,8 @@ def read_config(path: Path) -> dict[str, Any]:
 def complete_settings(config: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return stored settings of a run with the path of its classifier, wherever the run lies now.
 
-    Tasks of version 0.3.0 and before, which name no levels, have one.
-
-    Args:
-        config: as ``Plan.to_config`` returns them.
-        folder: of the run, or of one of its checkpoints.
+    ``folder`` is the run's, or one of its checkpoints. Tasks of version 0.3.0 and before, which
+    name no levels, have one.
     """
     whole, task, named = dict(config), config.get("task"), config.get("recognition")
     if isinstance(task, Mapping):

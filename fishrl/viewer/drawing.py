@@ -57,9 +57,6 @@ class Drawing:
 
     Args:
         stream: a ``rerun.RecordingStream`` with its sinks.
-        scene: what to draw.
-        flows: titles of the flows, by index.
-        field_format: see ``ViewerSettings``.
         is_live: the stream also goes to a viewer, which may close before the stream does.
     """
 

@@ -76,12 +76,7 @@ def fit_colours(recording: Recording) -> Scene:
 
 
 class FlowAxes:
-    """Axes in body lengths that show a scene frame by frame: field, bodies, senses, goal, paths.
-
-    Args:
-        axes: to draw on.
-        scene: what to draw.
-    """
+    """Axes in body lengths that show a scene frame by frame: field, bodies, senses, goal, paths."""
 
     def __init__(self, axes: Axes, scene: Scene) -> None:
         self.axes, self.scene = axes, scene

@@ -100,13 +100,7 @@ class Server(Viewer):
 
     It opens a window if there is a screen. It keeps the newest 512 MB of frames for viewers that
     join later. Closing a window does not end the server, and an open window keeps its frames after
-    the server has ended.
-
-    Args:
-        port: port of the stream; the next free one if it is taken.
-
-    Raises:
-        ValueError: if no port is free, or rerun does not start.
+    the server has ended. Its argument and errors are those of ``Viewer``.
     """
 
     def __init__(self, *, port: int = 9876) -> None:

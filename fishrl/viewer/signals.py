@@ -57,12 +57,7 @@ def read_signals(env: FlowEnv) -> dict[str, Tensor]:
 
 
 def make_table(columns: Mapping[str, Tensor], *, about: Mapping[str, str | float]) -> xr.Dataset:
-    """Return columns ``[N]`` of ``read_signals`` by name over ``time``.
-
-    Args:
-        columns: values by name, in order of time.
-        about: attributes of the data set.
-    """
+    """Return columns ``[N]`` of ``read_signals`` over ``time``; ``about`` are its attributes."""
     import xarray as xr
 
     parts = {}

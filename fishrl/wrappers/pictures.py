@@ -17,10 +17,7 @@ Array = np.ndarray[Any, Any]
 class Pictures:
     """Paint the current state of each flow, with the path of the nose since its episode began.
 
-    Args:
-        env: an environment of ``make_env``.
-        render_mode: ``rgb_array``, or None for no pictures.
-        field: the field that is drawn: vorticity, pressure or speed.
+    Arguments are those of ``FlowVectorEnv``.
     """
 
     def __init__(self, env: TransformedEnv, *, render_mode: str | None, field: str) -> None:

@@ -1,9 +1,12 @@
 """Policies and critics: masks, exploration, seeds and recurrent state."""
 
+from functools import partial
+
 import pytest
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
+from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from fishrl.modules import (
@@ -16,6 +19,8 @@ from fishrl.modules import (
     make_twin_critics,
     make_value_actor,
 )
+
+make_exploration = partial(EpsilonGreedy, Categorical(3), action_mask_key="action_mask")
 
 
 def states(num: int, *, key: str = "observation_stack") -> TensorDict:
@@ -69,7 +74,7 @@ def test_epsilon_greedy_actions_are_legal() -> None:
     torch.manual_seed(0)
     td = states(4000)
     greedy = make_value_actor(num_inputs=16, num_actions=3, hidden=(8,))
-    chance = EpsilonGreedy(num_actions=3, start=0.5, end=0.5)
+    chance = make_exploration(eps_init=0.5, eps_end=0.5)
     with torch.no_grad():
         best = greedy(td.clone())
         taken = TensorDictSequential(greedy, chance)(td.clone())["action"]
@@ -87,7 +92,7 @@ def test_epsilon_greedy_actions_are_legal() -> None:
 
 
 def test_epsilon_decays_in_exploration_only() -> None:
-    chance = EpsilonGreedy(num_actions=3, start=1.0, end=0.1, num_frames=100)
+    chance = make_exploration(eps_end=0.1, annealing_num_steps=100)
     td = states(20).set("action", torch.zeros(20, dtype=torch.int64))
     td["action_mask"][:] = True
     with set_exploration_type(ExplorationType.DETERMINISTIC):
@@ -95,7 +100,7 @@ def test_epsilon_decays_in_exploration_only() -> None:
     assert float(chance.eps) == 1.0
     chance(td.clone())
     assert float(chance.eps) == pytest.approx(0.82)
-    other = EpsilonGreedy(num_actions=3)
+    other = make_exploration()
     other.load_state_dict(chance.state_dict())
     assert torch.equal(other.eps, chance.eps)
     for _ in range(9):

@@ -63,12 +63,9 @@ class Watch:
             self._was_lost &= ~rows
 
     def report(self, outlines: Sequence[Tensor], is_lost: Tensor, are_held: Tensor) -> None:
-        """Log flows that are lost since the last time.
+        """Log flows ``[B]`` that are lost since the last time, as they are not finite.
 
-        Args:
-            outlines: of the bodies, ``[B, N, 2]`` each.
-            is_lost: ``[B]`` are not finite.
-            are_held: ``[B]``: patches hold their bodies, and do not overlap.
+        In those that ``are_held``, patches hold their bodies and do not overlap.
         """
         self.look_(outlines)
         has_left = torch.zeros_like(is_lost)

@@ -157,11 +157,7 @@ def choose_shifts(
 
     A grid moves when the followed ``place`` ``[B, 2]``, given in nodes of the finest, is more than
     two of its nodes from its middle, as far as its bounds and those of the next finer one allow.
-
-    Args:
-        place: where the body is.
-        origins: ``[B, 2]`` of each grid, coarser ones first.
-        frames: of each grid.
+    Origins ``[B, 2]`` and frames are those of the grids, coarser ones first.
     """
     shifts: list[Tensor] = []
     inside: tuple[Tensor, Frame] | None = None

@@ -127,12 +127,9 @@ def reflect_(
     contact: Contact,
     slots: Slots,
 ) -> tuple[BodyState, ...]:
-    """Reflect outgoing populations at the skin of all bodies, in place, and move the bodies.
+    """Reflect outgoing populations at the skin, in place, and return the bodies one step later.
 
     What returns from a body replaces what leaves the nodes inside it, which is not read.
-
-    Returns:
-        The bodies one step later.
     """
     (outlines, links), counts, dtype = contact, _count(bodies), slots.data.dtype
     meeting = _meet(states, links, counts, slots)
@@ -238,18 +235,11 @@ def pass_nodes_(
     after: Contact,
     slots: Slots,
 ) -> tuple[BodyState, ...]:
-    """Fill the nodes that the bodies have left in the step just made, in place.
+    """Fill the nodes that the bodies have left in the step just made, and return the bodies.
 
-    Args:
-        bodies: configuration of each body.
-        states: state of each body after the step.
-        before: where the skins were.
-        after: where they are.
-        slots: outgoing populations of the step; those that arrive at the uncovered nodes are set.
-
-    Returns:
-        The bodies: mass of the nodes that changed sides is in their surplus, momentum with which
-        covered ones slipped past in their slip impulse.
+    Of the step's outgoing populations, those that arrive at uncovered nodes are set in place. Mass
+    of the nodes that changed sides is in the bodies' surplus, momentum with which covered ones
+    slipped past in their slip impulse.
     """
     moving = [m for m, body in enumerate(bodies) if not body.is_still]
     if not moving:

@@ -22,7 +22,7 @@ class Skin(Settings, ABC):
     A skin of your own is a subclass in a file of its own, with ``exchange``, which the fast step
     calls, too; ``fast.body_parts.make_skin_parts`` registers parts that are faster.
     ``geometry.locate_outline`` places the markers of a body, ``surface.prescribe_surface`` gives
-    their velocity, and ``rigid_motion.report_body`` and ``move_body`` take the force on them.
+    their velocity, and ``rigid_motion.move_body`` takes the force on them.
 
     Attributes:
         marker_spacing: distance of a body's markers, nodes, unless the body gives its own.

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 import torch
 from pydantic import Field, PositiveInt
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torchrl.data import Categorical
 
 from fishrl.modules import EpsilonGreedy, make_value_actor
 from fishrl.objectives import MaskedDQNLoss
@@ -57,11 +58,13 @@ class DQN(Algorithm):
 
     def make_explorer(self, policy: Any, spec: PolicySpec) -> TensorDictSequential:
         """Make the policy that collects, epsilon-greedy over the legal actions."""
+        device = next(policy.parameters()).device
         mixed_in = EpsilonGreedy(
-            num_actions=spec.num_actions,
-            start=self.epsilon_start,
-            end=self.epsilon_end,
-            num_frames=self.epsilon_frames * spec.num_fish,  # it counts the decisions of each
-            device=next(policy.parameters()).device,
+            Categorical(spec.num_actions, device=device),
+            eps_init=self.epsilon_start,
+            eps_end=self.epsilon_end,
+            annealing_num_steps=self.epsilon_frames * spec.num_fish,  # decisions of each
+            action_mask_key="action_mask",
+            device=device,
         )
         return TensorDictSequential(policy, mixed_in)
