@@ -9,6 +9,9 @@ from experiments import benchmark
 from experiments.benchmark import main
 from experiments.benchmarks.machine import read_caches
 from experiments.benchmarks.measuring import Benchmark, BenchmarkSettings
+from experiments.benchmarks.step_clock import COLUMNS
+from fishrl.physics import InPlaceSolver
+from tests.physics.fast.test_solver import CHANGES, make_tank
 
 TURNS: list[str] = []
 
@@ -72,3 +75,9 @@ def test_cache_sizes_are_read_from_sysfs(tmp_path: Path) -> None:
         for name, value in (("type", kind), ("level", level), ("size", size)):
             (folder / name).write_text(value + "\n")
     assert read_caches(tmp_path) == {"L1": 48 * 1024, "L3": 32 * 2**20}
+
+
+@pytest.mark.parametrize("name", ["sharp skin", "direct solve", "skin of one's own"])
+def test_each_part_of_a_step_has_a_column(name: str) -> None:
+    solver = InPlaceSolver(config=make_tank(**CHANGES[name]), num_envs=1, compile=False)
+    assert all(part.name.startswith(tuple(COLUMNS)) for part, _ in solver.list_calls())
