@@ -12,7 +12,6 @@ import argparse
 import json
 import shutil
 from dataclasses import replace
-from math import sqrt
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from fishrl.benchmark.versions import FOLDER
 from fishrl.envs import Flows, KarmanGait, make_env, run_episodes
 from fishrl.envs import make_task as make_version
 from fishrl.programs.score import score as score_frozen
+from fishrl.programs.statistics import find_mean
 from fishrl.training import Callback, LearningSettings, Plan, RunSettings, Training, complete
 from fishrl.training import load_plan, load_policy, open_run
 from fishrl.training.checkpoint import save_checkpoint
@@ -56,6 +56,16 @@ RULES = {"last": 0, "average-5000": 5_000, "average-20000": 20_000}
 #: Starts by their seed and number, and decisions: 161 are 20 T.
 SETS = {"validation": (1, 16, 321), "test": (0, 48, 321), "test-100-T": (0, 48, 801)}
 
+#: Arms that differ in one thing.
+COMPARED = (
+    ("line-sees-unit", "line-symmetric-unit"),
+    ("line-sees-raw", "line-symmetric-raw"),
+    ("line-sees-unit", "line-sees-raw"),
+    ("line-symmetric-unit", "line-symmetric-raw"),
+    ("line-sees-unit", "own-sees-unit"),
+    ("line-sees-unit-no-history", "own-sees-unit"),
+    ("line-sees-unit-no-history", "line-sees-unit"),
+)
 #: Arms whose policies are in the zoo.
 ZOO = {"line-sees-unit-no-history": "gait_bend_blind_line", "own-sees-unit": "gait_bend_blind"}
 #: Arms whose task is a frozen one.
@@ -176,8 +186,9 @@ def choose_rule(scores: list[dict[str, Any]]) -> str:
 
 
 def store(arm: str, seed: int) -> None:
-    """Keep the learning curve and the weights of the rule that is quoted now."""
-    run, rule = RUNS / f"{arm}-{seed}", choose_rule(read_scores(arm))
+    """Keep the learning curve, and the weights of the rule whose weights are kept of seed 0."""
+    run = RUNS / f"{arm}-{seed}"
+    (rule,) = torch.load(SCORES / f"{arm}-0.pt", weights_only=True)
     torch.save({rule: average(run / "actors", RULES[rule])}, SCORES / f"{arm}-{seed}.pt")
     shutil.copy(run / "metrics.csv", SCORES / f"{arm}-{seed}.csv")
     print(arm, seed, rule)
@@ -248,20 +259,34 @@ def keep(arm: str, seed: int) -> None:
 
 
 def table() -> None:
-    """Print mean and 95 % interval over seeds of each arm, rule and set."""
-    quantile = {2: 12.71, 3: 4.30, 4: 3.18, 5: 2.78}  # of Student's t
-    for arm in ARMS:
-        scores = read_scores(arm)
-        if not scores:
-            continue
-        chosen = choose_rule(scores)
-        for rule in RULES:
-            for name in SETS:
-                each = torch.tensor([s[f"{rule}/{name}"]["T"] for s in scores])
-                lasts = " ".join(f"{100 * s[f'{rule}/{name}']['lasts']:.0f}" for s in scores)
-                width = quantile[len(each)] * each.std() / sqrt(len(each)) if len(each) > 1 else 0.0
-                mark = " <- quoted" if rule == chosen else ""
-                print(f"{arm:26s}{rule:15s}{name:12s}{each.mean():5.1f} ± {width:4.1f} T, lasts {lasts} %{mark}")
+    """Print the page's tables, of the seeds that are scored."""
+    scores = {arm: read_scores(arm) for arm in ARMS}
+    rules = {arm: choose_rule(found) for arm, found in scores.items() if found}
+    found = {arm: [each[f"{rule}/test"] for each in scores[arm]] for arm, rule in rules.items()}
+    later = {arm: [each[f"{rule}/test-100-T"] for each in scores[arm]] for arm, rule in rules.items()}
+    tests = [each[f"{rule}/test"]["succeeded"] for all_ in scores.values() for each in all_ for rule in RULES]
+    possible = torch.tensor(tests).any(0)
+    print("| arm | of 40 T | mean | lasts | of 100 T | lasts | rule |")
+    for arm in sorted(found, key=lambda arm: -sum(each["T"] for each in found[arm]) / len(found[arm])):
+        cells = []
+        for each in (found[arm], later[arm]):
+            lengths = [one["T"] for one in each]
+            mean = f" | {find_mean(lengths).show('.1f')}" if each is found[arm] else ""
+            cells.append(", ".join(f"{length:.1f}" for length in lengths) + " T" + mean)
+            cells.append(", ".join(f"{100 * one['lasts']:.0f}" for one in each) + " %")
+        print(f"| `{arm}` | {' | '.join(cells)} | {rules[arm]} |")
+    print("\nother rules, test, of 40 T:")
+    for arm, all_ in scores.items():
+        means = {rule: [round(each[f"{rule}/test"]["T"], 1) for each in all_] for rule in RULES}
+        print(arm, means)
+    print("\npaired differences, of 40 T:")
+    for one, other in COMPARED:
+        pairs = zip(found[one], found[other], strict=False)
+        differences = [a["T"] - b["T"] for a, b in pairs]
+        each = ", ".join(f"{difference:.1f}" for difference in differences)
+        print(f"{one} - {other}: {each}; {find_mean(differences).show('.1f')}")
+    held = [int((torch.tensor(each["succeeded"]).bool() & possible).sum()) for each in found["sight-unit"]]
+    print(f"\nstarts that a network survived: {int(possible.sum())}; sight {held}")
 
 
 if __name__ == "__main__":
