@@ -186,9 +186,8 @@ def choose_rule(scores: list[dict[str, Any]]) -> str:
 
 
 def store(arm: str, seed: int) -> None:
-    """Keep the learning curve, and the weights of the rule whose weights are kept of seed 0."""
-    run = RUNS / f"{arm}-{seed}"
-    (rule,) = torch.load(SCORES / f"{arm}-0.pt", weights_only=True)
+    """Keep the learning curve, and the weights of the rule that is quoted now."""
+    run, rule = RUNS / f"{arm}-{seed}", choose_rule(read_scores(arm))
     torch.save({rule: average(run / "actors", RULES[rule])}, SCORES / f"{arm}-{seed}.pt")
     shutil.copy(run / "metrics.csv", SCORES / f"{arm}-{seed}.csv")
     print(arm, seed, rule)
