@@ -10,9 +10,15 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDictBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from fishrl.envs import Flows
-from fishrl.training import Algorithm, Callback, Plan, Training, open_run
+from fishrl.training import Algorithm, Callback, DiscreteSAC, Plan, Training, open_run
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.drqn import DRQN
+from fishrl.training.algorithms.ppo import PPO
+from fishrl.training.algorithms.sac import SAC
 from fishrl.training.learner import Learner
 from fishrl.training.run_folder import RunFolder, write_yaml
 from tests.training.toy_fish import ToyPredation, make_any_env
@@ -30,6 +36,9 @@ DEFAULTS: dict[str, Any] = {
     "eval_episodes": 6,
     "final_episodes": 10,
 }
+#: Algorithms with critics, and all.
+ACTOR_CRITICS: list[Algorithm] = [DiscreteSAC(), SAC(), PPO(rollout_length=8)]
+ALGORITHMS = [*ACTOR_CRITICS, DQN(), DRQN()]
 #: Little of what is looked at elsewhere.
 QUICK: dict[str, Any] = {"baselines": (), "eval_episodes": 2, "final_episodes": 2}
 
@@ -109,6 +118,13 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Training:
     training.run()
     training.close()
     return training
+
+
+def answer(policy: torch.nn.Module, states: TensorDictBase) -> dict[str, torch.Tensor]:
+    """Return what a policy does greedily, and what it follows from."""
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        written = policy(states.clone())
+    return {key: written[key] for key in ("logits", "loc", "action") if key in written}
 
 
 def read_rows(folder: Path, name: str = "metrics.csv") -> list[dict[str, str]]:

@@ -6,13 +6,9 @@ import pytest
 import torch
 from torch import nn
 
-from fishrl.training import Algorithm, DiscreteSAC, load_policy
-from fishrl.training.algorithms.dqn import DQN
-from fishrl.training.algorithms.drqn import DRQN
-from fishrl.training.algorithms.ppo import PPO
-from fishrl.training.algorithms.sac import SAC
+from fishrl.training import Algorithm, load_policy
 from fishrl.training.averaging import WeightAverage
-from tests.training.conftest import QUICK, Toy
+from tests.training.conftest import ALGORITHMS, QUICK, Toy
 
 
 def test_average_is_a_mean_at_first_and_exponential_later() -> None:
@@ -25,9 +21,6 @@ def test_average_is_a_mean_at_first_and_exponential_later() -> None:
     nn.init.constant_(policy.weight, 8.0)
     average.step()
     assert average.policy.weight.item() == pytest.approx(4.0 + (8.0 - 4.0) / 4.0)
-
-
-ALGORITHMS = [DiscreteSAC(), SAC(), DQN(), DRQN(), PPO(rollout_length=8)]
 
 
 @pytest.mark.usefixtures("traced_at_once")

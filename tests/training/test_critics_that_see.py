@@ -4,20 +4,18 @@ import pytest
 import torch
 
 from fishrl.envs import Flows
-from fishrl.training import Algorithm, DiscreteSAC, evaluate
+from fishrl.training import Algorithm, evaluate
 from fishrl.training.algorithms.ppo import PPO
-from fishrl.training.algorithms.sac import SAC
-from tests.training.conftest import QUICK, Toy
+from tests.training.conftest import ACTOR_CRITICS, QUICK, Toy
 from tests.training.toy_fish import ToyPredation
 
-ALGORITHMS = [DiscreteSAC(), SAC(), PPO(rollout_length=8)]
 #: Names of the value losses of these algorithms.
 VALUE_LOSSES = {"loss_qvalue", "loss_critic"}
 SEEING = {"critic_observes": ("heading",)}
 
 
 @pytest.mark.parametrize("reads_stack", [True, False])
-@pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda a: type(a).__name__)
+@pytest.mark.parametrize("algorithm", ACTOR_CRITICS, ids=lambda a: type(a).__name__)
 def test_values_alone_depend_on_critics(toy: Toy, algorithm: Algorithm, reads_stack: bool) -> None:
     learner = toy.collect(algorithm, task=SEEING | {"critic_reads_stack": reads_stack})
     batch = learner.buffer[:]

@@ -2,16 +2,11 @@
 
 import pytest
 import torch
-from tensordict import TensorDictBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from fishrl.training import Algorithm, DiscreteSAC, load_policy
-from fishrl.training.algorithms.ppo import PPO
+from fishrl.training import Algorithm, load_policy
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.learner import Learner
-from tests.training.conftest import QUICK, Toy
-
-ALGORITHMS = [DiscreteSAC(), SAC(), PPO(rollout_length=8)]
+from tests.training.conftest import ACTOR_CRITICS, QUICK, Toy, answer
 
 
 def make_learner(toy: Toy, algorithm: Algorithm, **settings: object) -> Learner:
@@ -22,14 +17,8 @@ def make_learner(toy: Toy, algorithm: Algorithm, **settings: object) -> Learner:
     return toy.collect(algorithm, initial_policy=first, critic_frames=400, **settings)
 
 
-def answer(policy: torch.nn.Module, states: TensorDictBase) -> dict[str, torch.Tensor]:
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        written = policy(states.clone())
-    return {key: written[key] for key in ("logits", "loc", "action") if key in written}
-
-
 @pytest.mark.parametrize("is_scaled", [False, True], ids=["raw", "scaled"])
-@pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda a: type(a).__name__)
+@pytest.mark.parametrize("algorithm", ACTOR_CRITICS, ids=lambda a: type(a).__name__)
 def test_policy_acts_as_the_initial_one_while_critics_learn(
     toy: Toy, algorithm: Algorithm, is_scaled: bool, traced_at_once: None
 ) -> None:

@@ -5,18 +5,14 @@ from typing import Any
 import pytest
 
 from fishrl.envs import Flows, Oracle, PredictedFlowLabel, TrueFlowLabel
-from fishrl.training import Algorithm, DiscreteSAC, evaluate, load_plan
-from fishrl.training.algorithms.ppo import PPO
-from fishrl.training.algorithms.sac import SAC
+from fishrl.training import Algorithm, evaluate, load_plan
 from fishrl.training.policies import prepare
 from fishrl.zoo import find_policy
-from tests.training.conftest import QUICK, Toy
+from tests.training.conftest import ACTOR_CRITICS, QUICK, Toy
 from tests.training.toy_fish import ToyPredation
 
 
-@pytest.mark.parametrize(
-    "algorithm", [DiscreteSAC(), SAC(), PPO(rollout_length=8)], ids=lambda a: type(a).__name__
-)
+@pytest.mark.parametrize("algorithm", ACTOR_CRITICS, ids=lambda a: type(a).__name__)
 def test_evaluate_reproduces_the_final_evaluation_of_a_run(toy: Toy, algorithm: Algorithm) -> None:
     task = {"is_continuous": algorithm.takes_continuous}
     few = QUICK | {"final_episodes": 10}

@@ -3,18 +3,12 @@
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from fishrl.training import Algorithm, DiscreteSAC
+from fishrl.training import Algorithm
 from fishrl.training.algorithms.dqn import DQN
-from fishrl.training.algorithms.drqn import DRQN
-from fishrl.training.algorithms.ppo import PPO
-from fishrl.training.algorithms.sac import SAC
 from fishrl.training.learner import Learner
 from fishrl.training.scaling import InputScale
-from tests.training.conftest import Toy
-
-ALGORITHMS = [DiscreteSAC(), SAC(), DQN(), DRQN(), DRQN(is_double=True), PPO(rollout_length=8)]
+from tests.training.conftest import ALGORITHMS, Toy, answer
 
 
 def learn(toy: Toy, algorithm: Algorithm, **settings: object) -> Learner:
@@ -28,15 +22,10 @@ def learn(toy: Toy, algorithm: Algorithm, **settings: object) -> Learner:
 @pytest.mark.parametrize("hidden", [(16,), (16, 16)], ids=["one layer", "two layers"])
 @pytest.mark.parametrize("algorithm", ALGORITHMS, ids=lambda a: type(a).__name__)
 def test_saved_equals_learner(toy: Toy, algorithm: Algorithm, hidden: tuple[int, ...]) -> None:
-    learner, answers = learn(toy, algorithm, hidden=hidden), []
+    learner = learn(toy, algorithm, hidden=hidden)
     states = next(iter(toy.trainings[0].collector)).reshape(-1)
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        for policy in (learner.actor, learner.explorer):
-            written = policy(states.clone())
-            answers.append({key: written[key] for key in ("logits", "loc") if key in written})
-            answers[-1]["action"] = written["action"]
-    for key, value in answers[1].items():
-        torch.testing.assert_close(answers[0][key], value, rtol=1e-4, atol=1e-5)  # float32
+    saved, own = (answer(policy, states) for policy in (learner.actor, learner.explorer))
+    torch.testing.assert_close(saved, own, rtol=1e-4, atol=1e-5)  # float32
 
 
 def test_loss_reads_zero_mean_and_unit_deviation(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:

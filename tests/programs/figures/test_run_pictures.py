@@ -3,7 +3,6 @@
 import dataclasses
 import gc
 import weakref
-from math import pi
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from PIL import Image
 
-from fishrl.envs import Flows, Predation, make_env
+from fishrl.envs import Flows, make_env
 from fishrl.envs.scene import Curve as SceneCurve
-from fishrl.envs.scene import Ending, Frame
-from fishrl.envs.views import make_scene
+from fishrl.envs.scene import Ending
 from fishrl.figure_style import STYLE
 from fishrl.programs.figures import learning_curve, run_pictures
 from fishrl.programs.figures.learning_curve import Curve, write_learning_curve
@@ -41,29 +39,11 @@ METRICS = """frames,train/return,eval/mean_return,train/success_rate,train/loss_
 """
 
 
-def make_recording(
-    *, num_frames: int = 17, has_succeeded: bool = True, lane: float = 1.5
-) -> Recording:
-    """Return an ellipse that swims towards its food through a vortex."""
-    task, length = Predation(body_length=20, levels=1, reynolds=500.0, wall_margin_bl=0.25), 20.0
-    rows, columns = torch.meshgrid(torch.arange(100), torch.arange(200), indexing="ij")
-    angle = torch.linspace(0, 2 * pi, 41)[:-1]
-    frames = []
-    for time in (torch.arange(num_frames) / 4).tolist():
-        nose = torch.tensor([7.5 - 0.8 * time, lane]) * length
-        outline = nose + length * torch.stack((0.5 - 0.5 * angle.cos(), 0.1 * angle.sin()), -1)
-        r2 = (columns - nose[0]) ** 2 + (rows - nose[1]) ** 2
-        values = {
-            "vorticity": (12.0 * torch.exp(-r2 / 9.0)).half(),
-            "fish": outline,
-            "midline": outline,
-            "head": nose,
-            "food": torch.tensor([2.5, lane]) * length,
-        }
-        frames.append(Frame(time=time, values=values))
+def make_recording(*, num_frames: int = 17, has_succeeded: bool = True) -> Recording:
+    frames = [scenes.make_frame(number) for number in range(num_frames)]
     ending = Ending(words="caught" if has_succeeded else "hit a wall", is_success=has_succeeded)
     frames[-1] = dataclasses.replace(frames[-1], ending=ending)
-    return Recording(scene=make_scene(task), frames=frames)
+    return Recording(scene=scenes.make_scene(), frames=frames)
 
 
 def scale_vorticity(recording: Recording, factor: float, name: str = "vorticity") -> Recording:
@@ -77,7 +57,7 @@ def scale_vorticity(recording: Recording, factor: float, name: str = "vorticity"
 
 def test_run_pictures_are_written(tmp_path: Path) -> None:
     (tmp_path / "metrics.csv").write_text(METRICS)
-    recordings = [make_recording(has_succeeded=False), make_recording(num_frames=9, lane=3.0)]
+    recordings = [make_recording(has_succeeded=False), make_recording(num_frames=9)]
     write_run_pictures(tmp_path, recordings, baselines={"random": 0.1})
     written = {path.name for path in tmp_path.glob("*.[pg]*") if path.stat().st_size > 1000}
     assert written == {
@@ -111,7 +91,7 @@ def test_paths_show_obstacles_and_endings(tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(Figure, "savefig", note)
     square = torch.tensor([(80.0, 40.0), (90.0, 40.0), (90.0, 50.0), (80.0, 50.0)])
-    recordings, posts = [make_recording(), make_recording(lane=3.0)], [square, square * 0.9]
+    recordings, posts = [make_recording(), make_recording()], [square, square * 0.9]
     for recording, post in zip(recordings, posts, strict=True):
         recording.scene = dataclasses.replace(
             recording.scene,
