@@ -67,7 +67,11 @@ COMPARED = (
     ("line-sees-unit-no-history", "line-sees-unit"),
 )
 #: Arms whose policies are in the zoo.
-ZOO = {"line-sees-unit-no-history": "gait_bend_blind_line", "own-sees-unit": "gait_bend_blind"}
+ZOO = {
+    "line-sees-unit-no-history": ("gait_bend_blind_line", "blind, with lateral line"),
+    "own-sees-unit": ("gait_bend_blind", "blind, without lateral line"),
+    "sight-unit": ("gait_bend_wide", "place and heading seen, in a wider area"),
+}
 #: Arms whose task is a frozen one.
 VERSIONS = {
     "line-sees-unit-no-history": "station-line-v1",
@@ -248,9 +252,9 @@ def keep(arm: str, seed: int) -> None:
         "episodes": len(scores["succeeded"]),
     }
     write_json(run / "summary.json", result)
-    line = "with" if LINE in ARMS[arm][0]["observes"] else "without"
-    title = f"Kármán gait by bending, blind, {line} lateral line, by reward alone"
-    folder = export_policy(run, RUNS / "zoo" / ZOO[arm], title=title)
+    name, words = ZOO[arm]
+    title = f"Kármán gait by bending, {words}, by reward alone"
+    folder = export_policy(run, RUNS / "zoo" / name, title=title)
     card = folder / "README.md"
     words = card.read_text().replace("Final evaluation from", "Evaluation for 40 T (`task.time_limit=321`) from")
     card.write_text(words)

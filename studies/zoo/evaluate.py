@@ -20,7 +20,7 @@ from fishrl.training.run_folder import write_json
 from fishrl.zoo import find_policy, list_policies
 
 #: Policies that were trained for 20 T and whose cards have results of 40 T.
-LONGER = dict.fromkeys(("gait_bend_all", "gait_bend_blind", "gait_bend_blind_line", "gait_bend_line"), 321)
+LONGER = dict.fromkeys(("gait_bend_all", "gait_bend_blind", "gait_bend_blind_line", "gait_bend_line", "gait_bend_wide"), 321)
 
 
 def renew(name: str, commit: str) -> None:

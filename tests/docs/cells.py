@@ -3,7 +3,9 @@
 # ruff: noqa: F403, F405 - the tables are written in the words of page_numbers
 import re
 from collections.abc import Callable
+from dataclasses import astuple
 
+from fishrl.benchmark import list_rows
 from studies.tables import read_data
 from tests.docs.page_numbers import *
 
@@ -17,6 +19,19 @@ PAIR = {who: read_data("predation", "pair")[row] for row, who in enumerate(("lea
 PAPER = {
     row["part, L = 100"].split(",")[0]: row["ours"] for row in read_data("reproduction", "paper")
 }
+
+
+def scored(task: str, policy: str = "discrete_sac") -> list[float]:
+    """Return the least and the largest share of the test's episodes that succeed, %."""
+    shares = [
+        100.0 * row.metrics["success_rate"]
+        for row in list_rows(task, "test")
+        if row.policy.startswith(policy)
+    ]
+    return sorted({min(shares), max(shares)})
+
+
+TUNED, AT_RANDOM = scored("station-v1", "tuned_pid"), scored("station-v1", "random")
 
 
 def behind(who: str, *names: str) -> list[float]:
@@ -44,13 +59,6 @@ def switch(labels: str) -> list[float]:
     return [float(row[name]) for name in names if row[name] not in ("", "never")]
 
 
-def sense(senses: str) -> list[float]:
-    """Return duration with its interval, share that lasts and work of the four arms."""
-    names = ("duration, T", "duration, T ±", "lasts 40 T, %", "pushing work per T")
-    of = {"policy": senses, "condition": "as trained"}
-    return [column("four_arms", "behaviour", name, **of)[0] for name in names]
-
-
 def station(name: str) -> list[float]:
     """Return a column at the paper's resolution, with both modules."""
     return column("karman_gait", "L100", name, label="classifier")
@@ -63,6 +71,7 @@ def caught(name: str) -> list[float]:
 
 BY_SKIN = find_row(PREDATION, "food on the paper's path", "50")
 KINDS, HELD = "both modules", "ablation"
+WITH_HISTORY = "place, drift, heading, and the policy's history"
 #: By page and first cells of a row: the numbers that the rest of the row repeats.
 CELLS: dict[tuple[str, ...], Callable[[], Numbers]] = {
     (RESULTS, "[Predation](tasks/predation.md), L = 50: food captured"): lambda: [
@@ -72,18 +81,8 @@ CELLS: dict[tuple[str, ...], Callable[[], Numbers]] = {
     (RESULTS, "the same, and the fish turns itself, L = 32"): lambda: [*BENT, 3],
     (
         RESULTS,
-        "[Senses](tasks/senses.md): the fish turns itself, L = 32; episodes that last 40 T",
-    ): (
-        lambda: [
-            *(n / 0.24 for n in find_row(SENSES, "SAC", "place, drift, heading, own motion")[:2]),
-            *(n / 0.24 for n in last("imitation", "lateral line, own motion")),
-            find_row(
-                SENSES, "controller `pid`, tuned by CMA-ES", "place, drift, heading, yaw rate"
-            )[0]
-            / 0.24,
-            2,
-        ]
-    ),
+        "[Senses](tasks/senses.md): the fish turns itself, L = 32; episodes that last 41 T",
+    ): lambda: [*scored("station-v1"), *scored("station-line-v1"), *TUNED, *AT_RANDOM, 5],
     (
         RESULTS,
         "[Changing streams](tasks/changing_streams.md), heading held, L = 32: duration, of 100 T",
@@ -179,11 +178,16 @@ CELLS: dict[tuple[str, ...], Callable[[], Numbers]] = {
         for policy, kind in (("with both", KINDS), ("without both", HELD))
     },
     **{
-        (SENSES, said): lambda senses=senses: sense(senses)
-        for said, senses in (
-            *((name, name) for name in ("place, drift, heading", "lateral line")),
-            ("place, drift, heading, lateral line", "place, drift, heading, lateral line"),
-            ("nothing", "–"),
+        (SENSES, *cells): lambda arm=arm: [
+            *astuple(find_mean(learned(arm)[0])),
+            *(choose(learned(arm)[1]) for choose in (min, max)),
+        ]
+        for *cells, arm in (
+            ("place, drift, heading", "the same", "sight-unit"),
+            ("lateral line", "all senses, no history", "line-sees-unit-no-history"),
+            ("lateral line", WITH_HISTORY, "line-sees-unit"),
+            ("lateral line", "the same", "line-symmetric-unit"),
+            ("–", WITH_HISTORY, "own-sees-unit"),
         )
     },
 }

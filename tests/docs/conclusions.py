@@ -3,6 +3,7 @@
 # ruff: noqa: F403, F405 - the tables are written in the words of page_numbers
 import re
 from collections.abc import Callable
+from dataclasses import astuple
 from math import log2
 from statistics import fmean
 
@@ -41,6 +42,18 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
         ],
         "which is itself # % (Re = 500) to # % (Re = 7142) slower than the limit": lambda: [
             100.0 * (1.0 - swim(100, column)) for column in (0, 1)
+        ],
+    },
+    SENSES: {
+        "it falls short by # T, [#, #]": lambda: astuple(
+            differ("sight-unit", "line-sees-unit-no-history")
+        ),
+        "lasted # T with sight, # T with the lateral line and # T with neither": lambda: [
+            column("four_arms", "behaviour", "duration, T", policy=seen, condition="as trained")[0]
+            for seen in ("place, drift, heading", "lateral line", "–")
+        ],
+        "read what the policy reads cost # T next to those that see": lambda: [
+            differ("line-sees-unit", "line-symmetric-unit").value
         ],
     },
     BODY: {
@@ -198,9 +211,6 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
             and count_lasting("station", "ablation")[0] < 0.15 * 306
             and count_lasting("sharp_64", "ablation")[0] < 0.5 * 36
         ),
-        "though the lateral line doubles their time": lambda: (
-            1.75 < arm("lateral line") / arm("nothing") < 2.5
-        ),
         "**Learned labels do not prolong survival** in changing streams, and no policy "
         "outlasts the PID controller under nine new conditions": lambda: (
             overlap(CHANGING, "memory 0.7 (default)", "none: ablation")
@@ -249,6 +259,9 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
     SENSES: {
         "A blind one does as well with its lateral line, once it imitates the first": lambda: (
             min(last("imitation", SENSE)) >= 17 > 18 - 2 and max(last("imitation", OWN)) <= 2
+        ),
+        "**A blind fish with a lateral line lasts as long as one that sees**": lambda: (
+            abs(differ("sight-unit", "line-sees-unit-no-history").value) < 1.0
         ),
         "learning then equals a tuned controller": lambda: (
             min(find_row(SENSES, "SAC", "place, drift, heading, own motion")[2:]) > 28.0

@@ -8,6 +8,8 @@ from statistics import fmean, stdev
 
 from scipy import stats
 
+from fishrl.programs.statistics import Interval, find_mean
+from studies.blind_by_reward.sweep import choose_rule, read_scores
 from studies.tables import read_data
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -182,10 +184,16 @@ def overlap(page: str, *rows: str) -> bool:
     return max(low for low, _ in ends) <= min(high for _, high in ends)
 
 
-def arm(senses: str) -> float:
-    """Return the mean duration with some senses besides own motion, by reward alone."""
-    (row,) = re.findall(rf"\| {senses} \| ([\d.]+) ± ", read(SENSES))
-    return float(row)
+def learned(arm: str) -> tuple[list[float], list[float]]:
+    """Return durations, T, and the shares that last, %, of the trainings by reward alone."""
+    scores = read_scores(arm)
+    found = [each[f"{choose_rule(scores)}/test"] for each in scores]
+    return [each["T"] for each in found], [100.0 * each["lasts"] for each in found]
+
+
+def differ(arm: str, other: str) -> Interval:
+    """Return the mean difference of durations by reward alone, paired by seed."""
+    return find_mean([a - b for a, b in zip(learned(arm)[0], learned(other)[0], strict=True)])
 
 
 def last(policy: str, senses: str) -> list[float]:
