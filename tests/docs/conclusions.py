@@ -45,9 +45,10 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
         ],
     },
     SENSES: {
-        "it falls short by # T, [#, #]": lambda: astuple(
-            differ("sight-unit", "line-sees-unit-no-history")
-        ),
+        "it falls short by # T, [#, #], of 40 T, and by # T of 100 T": lambda: [
+            *astuple(differ("sight-unit", "line-sees-unit-no-history")),
+            differ("sight-unit", "line-sees-unit-no-history", starts="test-100-T").value,
+        ],
         "lasted # T with sight, # T with the lateral line and # T with neither": lambda: [
             column("four_arms", "behaviour", "duration, T", policy=seen, condition="as trained")[0]
             for seen in ("place, drift, heading", "lateral line", "–")

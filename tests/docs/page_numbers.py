@@ -184,16 +184,17 @@ def overlap(page: str, *rows: str) -> bool:
     return max(low for low, _ in ends) <= min(high for _, high in ends)
 
 
-def learned(arm: str) -> tuple[list[float], list[float]]:
+def learned(arm: str, starts: str = "test") -> tuple[list[float], list[float]]:
     """Return durations, T, and the shares that last, %, of the trainings by reward alone."""
     scores = read_scores(arm)
-    found = [each[f"{choose_rule(scores)}/test"] for each in scores]
+    found = [each[f"{choose_rule(scores)}/{starts}"] for each in scores]
     return [each["T"] for each in found], [100.0 * each["lasts"] for each in found]
 
 
-def differ(arm: str, other: str) -> Interval:
-    """Return the mean difference of durations by reward alone, paired by seed."""
-    return find_mean([a - b for a, b in zip(learned(arm)[0], learned(other)[0], strict=True)])
+def differ(*arms: str, starts: str = "test") -> Interval:
+    """Return the mean difference of two arms' durations by reward alone, paired by seed."""
+    one, other = (learned(arm, starts)[0] for arm in arms)
+    return find_mean([a - b for a, b in zip(one, other, strict=True)])
 
 
 def last(policy: str, senses: str) -> list[float]:
