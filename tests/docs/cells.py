@@ -71,7 +71,7 @@ def caught(name: str) -> list[float]:
 
 BY_SKIN = find_row(PREDATION, "food on the paper's path", "50")
 KINDS, HELD = "both modules", "ablation"
-WITH_HISTORY = "place, drift, heading, and the policy's history"
+WITH_HISTORY = "the same, place, drift, heading"
 #: By page and first cells of a row: the numbers that the rest of the row repeats.
 CELLS: dict[tuple[str, ...], Callable[[], Numbers]] = {
     (RESULTS, "[Predation](tasks/predation.md), L = 50: food captured"): lambda: [

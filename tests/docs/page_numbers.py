@@ -8,6 +8,7 @@ from statistics import fmean, stdev
 
 from scipy import stats
 
+from fishrl.benchmark import list_rows
 from fishrl.programs.statistics import Interval, find_mean
 from studies.blind_by_reward.sweep import choose_rule, read_scores
 from studies.tables import read_data
@@ -195,6 +196,12 @@ def differ(*arms: str, starts: str = "test") -> Interval:
     """Return the mean difference of two arms' durations by reward alone, paired by seed."""
     one, other = (learned(arm, starts)[0] for arm in arms)
     return find_mean([a - b for a, b in zip(one, other, strict=True)])
+
+
+def score(task: str) -> float:
+    """Return the mean of the benchmark's measure over the trainings by discrete SAC."""
+    rows = list_rows(task, "test")
+    return fmean(row.value for row in rows if row.policy.startswith("discrete_sac"))
 
 
 def last(policy: str, senses: str) -> list[float]:
