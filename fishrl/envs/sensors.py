@@ -40,7 +40,8 @@ def compute_bearing_error(heading: Tensor, away: Tensor) -> Tensor:
 def sense_target(head: Tensor, heading: Tensor, target: Tensor, *, body_length: float) -> Tensor:
     """Return where a target ``[B, 2]`` is from the nose ``[B, 2]``, both in nodes: ``TARGET``.
 
-    That is ``[B, 4]``, lengths in body lengths; ``heading`` ``[B]`` is in radians.
+    That is ``[B, 4]``, lengths in body lengths; ``heading`` ``[B]`` is in radians and
+    ``body_length`` in nodes.
     """
     away = (target - head) / body_length
     distance = (away * away).sum(-1).sqrt()
@@ -60,6 +61,6 @@ def compute_clearance(markers: Tensor, flow: FlowConfig) -> Tensor:
 
 
 def compute_gap(one: Tensor, other: Tensor) -> Tensor:
-    """Return the smallest distance ``[B]`` between markers ``[B, N, 2]`` of two outlines, nodes."""
+    """Return the least distance ``[B]`` of markers ``[B, N, 2]`` and ``[B, M, 2]``, nodes."""
     distance = torch.cdist(one, other, compute_mode="donot_use_mm_for_euclid_dist")
     return distance.flatten(1).amin(-1)

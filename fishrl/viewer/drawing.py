@@ -56,7 +56,7 @@ class Drawing:
     """Draw flows of one task, frame by frame, into a rerun stream.
 
     Args:
-        stream: a ``rerun.RecordingStream`` with its sinks.
+        stream: a ``rerun.RecordingStream`` with its sinks; others are those of ``start_drawing``.
         is_live: the stream also goes to a viewer, which may close before the stream does.
     """
 

@@ -156,6 +156,11 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
             sum(verdict == "pass" for verdict in list_verdicts()),
             sum(verdict != "recorded" for verdict in list_verdicts()),
         ],
+        "lasts from # to # % of # starts with sight, and from # to # % blind": lambda: [
+            *(end(learned("sight-unit")[1]) for end in (min, max)),
+            len(read_scores("sight-unit")[0]["last/test"]["succeeded"]),
+            *(end(learned("line-sees-unit-no-history")[1]) for end in (min, max)),
+        ],
         "takes # µs and a tail beat # s (192 × 96 nodes), at L = 50 in the tank # s, at L = 100 "
         "with the paper's immersed boundary # s": lambda: [
             find_row(SPEED, "gait_bend, 192 × 96")[0],

@@ -55,10 +55,10 @@ def test_run_is_scored_with_its_memory_and_what_differs_is_stored() -> None:
 
 def test_row_says_that_a_policy_began_as_another(monkeypatch: pytest.MonkeyPatch) -> None:
     version, plan = find_version("station-v1"), load_plan("zoo/gait_bend")
-    told = "initial_policy"
-    assert told not in find_policy("zoo/gait_bend", version, trust=False).differs
-    monkeypatch.setattr("fishrl.programs.score.load_plan", lambda _: replace(plan, **{told: "x"}))
-    assert told in find_policy("zoo/gait_bend", version, trust=False).differs
+    key = "initial_policy"
+    assert key not in find_policy("zoo/gait_bend", version, trust=False).differs
+    monkeypatch.setattr("fishrl.programs.score.load_plan", lambda _: replace(plan, **{key: "x"}))
+    assert key in find_policy("zoo/gait_bend", version, trust=False).differs
 
 
 def test_archive_needs_trust_and_acts_as_its_model(tmp_path: Path) -> None:

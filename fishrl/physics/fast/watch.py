@@ -65,7 +65,8 @@ class Watch:
     def report(self, outlines: Sequence[Tensor], is_lost: Tensor, are_held: Tensor) -> None:
         """Log flows ``[B]`` that are lost since the last time, as they are not finite.
 
-        In those that ``are_held``, patches hold their bodies and do not overlap.
+        In those that ``are_held``, patches hold their bodies, whose outlines are ``[B, N, 2]``
+        each, and do not overlap.
         """
         self.look_(outlines)
         has_left = torch.zeros_like(is_lost)

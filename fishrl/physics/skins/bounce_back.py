@@ -237,6 +237,7 @@ def pass_nodes_(
 ) -> tuple[BodyState, ...]:
     """Fill the nodes that the bodies have left in the step just made, and return the bodies.
 
+    ``states`` are those after the step, ``before`` and ``after`` say where the skins were and are.
     Of the step's outgoing populations, those that arrive at uncovered nodes are set in place. Mass
     of the nodes that changed sides is in the bodies' surplus, momentum with which covered ones
     slipped past in their slip impulse.
