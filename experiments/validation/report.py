@@ -27,8 +27,9 @@ FIRST_SENTENCE = re.compile(r"(?<=\w[\w)]\.) (?=[A-Z])")
 SUMMARY = ("case", "quantity", "ours", "accepted", "verdict")
 INTRODUCTION = """\
 How closely the flow solver and the swimming fish agree with exact solutions, other codes and
-experiments: every acceptance criterion with its result, and the reason for each miss. A case's link
-leads to its set-up, figure and all quantities on the site, to the numbers in the repository."""
+experiments: every acceptance criterion with its result, and what is known of each miss. Links lead
+to a case's page on the site, to its numbers in the repository. All cases take three hours of CPU,
+`make validate-quick` minutes."""
 EXPLANATION = """\
 *Accepted* is a range, or a reference with its tolerance. A miss gives its deviation from that,
 relative unless marked ±. *Recorded* quantities have no criterion; one here stands for its case."""

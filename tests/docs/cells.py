@@ -5,7 +5,6 @@ import re
 from collections.abc import Callable
 from dataclasses import astuple
 
-from fishrl.benchmark import list_rows
 from studies.tables import read_data
 from tests.docs.page_numbers import *
 
@@ -13,7 +12,7 @@ AS_TRAINED = "as trained, % of 96"
 DRAWN = scatter(
     column("predation", "memory", "captured of 96, %", observations_that_the_policy_sees="4")
 )
-BENT = column("predation", "bend", AS_TRAINED)[:4]
+BENT = column("predation", "bend", AS_TRAINED)[:5]
 GUIDED = column("predation", "held_out", AS_TRAINED, policy="interception, which knows the path")
 PAIR = {who: read_data("predation", "pair")[row] for row, who in enumerate(("learned", "pursuit"))}
 PAPER = {
@@ -23,11 +22,7 @@ PAPER = {
 
 def scored(task: str, policy: str = "discrete_sac") -> list[float]:
     """Return the least and the largest share of the test's episodes that succeed, %."""
-    shares = [
-        100.0 * row.metrics["success_rate"]
-        for row in list_rows(task, "test")
-        if row.policy.startswith(policy)
-    ]
+    shares = lasting(task, policy)
     return sorted({min(shares), max(shares)})
 
 
@@ -71,14 +66,14 @@ def caught(name: str) -> list[float]:
 
 BY_SKIN = find_row(PREDATION, "food on the paper's path", "50")
 KINDS, HELD = "both modules", "ablation"
-WITH_HISTORY = "the same, place, drift, heading"
+WITH_HISTORY = "policy's inputs, place, drift, heading"
 #: By page and first cells of a row: the numbers that the rest of the row repeats.
 CELLS: dict[tuple[str, ...], Callable[[], Numbers]] = {
     (RESULTS, "[Predation](tasks/predation.md), L = 50: food captured"): lambda: [
         *(*scatter(BY_SKIN[:3]), BY_SKIN[4], BY_SKIN[6], BY_SKIN[3])
     ],
     (RESULTS, "the same, paths of the food drawn, L = 32"): lambda: [*DRAWN, *GUIDED, 5],
-    (RESULTS, "the same, and the fish turns itself, L = 32"): lambda: [*BENT, 3],
+    (RESULTS, "the same, and the fish turns itself, L = 32"): lambda: [*BENT[:4], 3],
     (
         RESULTS,
         "[Senses](tasks/senses.md): the fish turns itself, L = 32; episodes that last 41 T",
@@ -98,9 +93,11 @@ CELLS: dict[tuple[str, ...], Callable[[], Numbers]] = {
         float(PAIR["pursuit"]["food caught, %"]),
         *(6, 1),  # random actions, which are not stored, and the number of policies
     ],
-    (RESULTS, "[Follower](tasks/several_fish.md), L = 32: work per distance behind a leader"): (
-        lambda: [*behind(BEHIND[0], RELATIVE), *behind(BEHIND[1], RELATIVE), 3]
-    ),
+    (
+        RESULTS,
+        "[Follower](tasks/several_fish.md), L = 32: work per distance, relative to the controller "
+        "without a leader",
+    ): lambda: [*behind(BEHIND[0], RELATIVE), *behind(BEHIND[1], RELATIVE), 3],
     (RESULTS, "[C-start](tasks/c_start.md), L = 192: distance in 2.7 T"): lambda: [
         *(
             column("c_start", "distances", DISTANCE, nodes_per_L="192", strokes=strokes)[0]
@@ -128,8 +125,11 @@ CELLS: dict[tuple[str, ...], Callable[[], Numbers]] = {
         *column("karman_gait", "L100_ablation", "survival, T"),
         *sharp("duration, T", HELD),
     ],
-    (PREDATION, "food on drawn paths", "32"): lambda: [*DRAWN, 5, *GUIDED],
-    (PREDATION, "the same, the fish turns itself", "32"): lambda: [*BENT[:3], 3, BENT[3]],
+    (PREDATION, "food on drawn paths", "32"): lambda: [
+        *(*DRAWN, 5, *GUIDED),
+        *column("predation", "held_out", AS_TRAINED, policy="pursuit"),
+    ],
+    (PREDATION, "the same, the fish turns itself", "32"): lambda: [*BENT[:3], 3, *BENT[3:]],
     (PREDATION, "paper's path, immersed boundary", "50"): lambda: [
         *column("predation", "small", "learned, %"),
         3,
@@ -183,10 +183,10 @@ CELLS: dict[tuple[str, ...], Callable[[], Numbers]] = {
             *(choose(learned(arm)[1]) for choose in (min, max)),
         ]
         for *cells, arm in (
-            ("place, drift, heading", "the same", "sight-unit"),
-            ("lateral line", "all senses, no history", "line-sees-unit-no-history"),
+            ("place, drift, heading", "policy's inputs", "sight-unit"),
+            ("lateral line", "all senses, last 4 observations", "line-sees-unit-no-history"),
             ("lateral line", WITH_HISTORY, "line-sees-unit"),
-            ("lateral line", "the same", "line-symmetric-unit"),
+            ("lateral line", "policy's inputs", "line-symmetric-unit"),
             ("–", WITH_HISTORY, "own-sees-unit"),
         )
     },
@@ -196,7 +196,7 @@ UNSTORED = (
     "[Kármán gait](tasks/karman_gait.md)",  # text of studies/karman_gait/README.md
     "our classifier's accuracy",  # text of studies/reproduction/data/paper.csv
     *("`small`", "`half`", "`paper`"),  # what experiments/reproduce runs
-    *("best policy", "quantity"),  # meaning of a column, head
+    *("policy", "quantity"),  # meaning of a column, head
 )
 
 

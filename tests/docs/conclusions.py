@@ -17,7 +17,8 @@ from tests.docs.page_numbers import *
 DRAG_LIFT, LIFTED = ("mean drag", "lift"), ("channel-cylinder", "C_l,max, Re = 100")
 ARMS, GUIDE = (slice(5), slice(5, 10)), "interception, which knows the path"
 LARGEST = "paper, 1000 × 500"
-TIMED = ("gait_bend, 192 × 96", "L = 50, 500 × 250", LARGEST)
+TIMED = ("L = 50, 500 × 250", LARGEST)
+TRAINED = "as trained, % of 96"
 MISSED = ("collision alone", "with a fish in each, immersed boundary")
 
 
@@ -45,17 +46,13 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
         ],
     },
     SENSES: {
-        "it falls short by # T, [#, #], of 40 T, and by # T of 100 T, in the "
-        "[benchmark](../benchmark.md) by # T of 41 T": lambda: [
+        "it falls short by # T [#, #] of 40 T, # T [#, #] of 100 T and, in the "
+        "[benchmark](../benchmark.md), # T of 41 T": lambda: [
             *astuple(differ("sight-unit", "line-sees-unit-no-history")),
-            differ("sight-unit", "line-sees-unit-no-history", starts="test-100-T").value,
+            *astuple(differ("sight-unit", "line-sees-unit-no-history", starts="test-100-T")),
             score("station-v1") - score("station-line-v1"),
         ],
-        "lasted # T with sight, # T with the lateral line and # T with neither": lambda: [
-            column("four_arms", "behaviour", "duration, T", policy=seen, condition="as trained")[0]
-            for seen in ("place, drift, heading", "lateral line", "–")
-        ],
-        "read what the policy reads cost # T next to those that see": lambda: [
+        "read what the policy reads cost # T compared with those that see": lambda: [
             differ("line-sees-unit", "line-symmetric-unit").value
         ],
     },
@@ -69,7 +66,7 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
         "to #": lambda: [swim(length, column) for length in (32, 50) for column in (1, 0)],
         "with the immersed boundary at # and at #": lambda: [swim_blurred(32), swim_blurred(50)],
         "diverged (below # % with": lambda: [100.0 * (1.0 - 0.05 ** (1 / 512))],
-        "Ours fails then in # of # episodes at L = 64 and # of # at L = 100": lambda: [
+        "Without them ours fails in # of # episodes at L = 64 and # of # at L = 100": lambda: [
             *count_lasting("sharp_64", "ablation"),
             *count_lasting("sharp_100", "ablation"),
         ],
@@ -80,7 +77,7 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
             *(distance := [measured("c-start", "distance after 2.7 T, L")]),
             off(*distance, 1.15),
         ],
-        "carry it # % farther on that grid, with # % less work": lambda: [
+        "carry it, with markers inset, # % farther on that grid, with # % less work": lambda: [
             gain("192", DISTANCE),
             -gain("192", WORK),
         ],
@@ -91,8 +88,9 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
     },
     CHANGING: {
         "recognises # % of the time": lambda: [find_row(CHANGING, "current signal only")[3]],
-        "both modules last # T longer than five without": lambda: [
-            survived("memory 0.7") - survived("ablation")
+        "both modules last # T, # T longer than five without": lambda: [
+            survived("memory 0.7"),
+            survived("memory 0.7") - survived("ablation"),
         ],
         "with which a fish of 32 nodes swims at # of its converged speed": lambda: [
             swim_blurred(32)
@@ -140,30 +138,38 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
         "interval [#, #]: not resolved": lambda: compare(
             *(column("predation", "memory", "captured of 96, %")[part] for part in ARMS)
         ),
-        "from # ± # % (interception # %), and from # ± # % if it is faster (# %)": lambda: [
-            number
-            for name in ("tilted more, % of 96", "faster, % of 96")
-            for number in (
-                *scatter(column("predation", "held_out", name, policy="learned, 4 observations")),
-                column("predation", "held_out", name, policy=GUIDE)[0],
-            )
-        ],
+        "Five other policies, # ± # % as trained, capture the food from # ± # % (interception "
+        "# %) on paths tilted more than in any training, and from # ± # % if it is faster "
+        "(# %)": lambda: (
+            [*scatter(column("predation", "held_out", TRAINED, policy="learned, 4 observations"))]
+            + [
+                number
+                for name in ("tilted more, % of 96", "faster, % of 96")
+                for number in (
+                    *scatter(
+                        column("predation", "held_out", name, policy="learned, 4 observations")
+                    ),
+                    column("predation", "held_out", name, policy=GUIDE)[0],
+                )
+            ]
+        ),
     },
     README: {
-        "# cases against exact solutions and published results; # of # acceptance criteria "
+        "# cases, # of them against exact or published results; # of # acceptance criteria "
         "are met": lambda: [
             len(list(DOCS.glob("validation/*.json"))),
+            14,
             sum(verdict == "pass" for verdict in list_verdicts()),
             sum(verdict != "recorded" for verdict in list_verdicts()),
         ],
-        "lasts from # to # % of # starts with sight, and from # to # % blind": lambda: [
-            *(end(learned("sight-unit")[1]) for end in (min, max)),
-            len(read_scores("sight-unit")[0]["last/test"]["succeeded"]),
-            *(end(learned("line-sees-unit-no-history")[1]) for end in (min, max)),
+        "lasts 41 T from # to # % of # starts with sight, and from # to # % blind": lambda: [
+            *(end(lasting("station-v1")) for end in (min, max)),
+            96,
+            *(end(lasting("station-line-v1")) for end in (min, max)),
         ],
-        "takes # µs and a tail beat # s (192 × 96 nodes), at L = 50 in the tank # s, at L = 100 "
-        "with the paper's immersed boundary # s": lambda: [
-            find_row(SPEED, "gait_bend, 192 × 96")[0],
+        "takes # µs (320 × 160 nodes); a tail beat in the tank takes # s at L = 50 and # s at "
+        "L = 100 with the paper's immersed boundary": lambda: [
+            find_row(SPEED, "gait_small, 320 × 160")[0],
             *(find_row(SPEED, case)[-1] for case in TIMED),
         ],
     },
@@ -190,7 +196,7 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
             abs(off(measured("channel-cylinder", f"C_d{of}", "D = 20"), reference)) < 1.0
             for of, reference in ((", Re = 20", 5.5795), (",max, Re = 100", 3.23))
         ),
-        "Random turns of ±15° at Re = 7000 never diverged at L = 50 and 100.": lambda: all(
+        "With the immersed boundary, random turns of ±15° at Re = 7000 never diverged": lambda: all(
             measured("stability", f"share of diverged episodes, {of}") == 0.0
             for of in ("small, L = 50", "paper, L = 100")
         ),
@@ -210,17 +216,21 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
             and abs(find_row(SEVERAL, "`predation_pair`", "learned, 1 seed")[1] - 80) < 5
         ),
         "Policies are better at staying in gait; "
-        "in the C-start a search beats the published": lambda: (
+        "in the C-start a search gains 6 %, less than the grid's error.": lambda: (
             "(in gait 60–95 % of the time) | 100 % (in gait 37–42 %)" in read(RESULTS)
-            and gain("192", DISTANCE) > 0.0
+            and round(gain("192", DISTANCE)) == 6
+            and off(
+                measured("c-start", EXTRAPOLATED), measured("c-start", "distance after 2.7 T, L")
+            )
+            > 6.0
         ),
-        "**Modules are rarely necessary.** The paper's fish fails without lateral line": lambda: (
+        "**Whether modules are needed depends on grid and skin.** The paper's fish fails": lambda: (
             max(map(float, read_data("reproduction", "small")[1]["paper"].split(", "))) < 40.0
             and count_lasting("station", "ablation")[0] < 0.15 * 306
-            and count_lasting("sharp_64", "ablation")[0] < 0.5 * 36
+            and 0.2 * 36 < count_lasting("sharp_64", "ablation")[0] < 0.5 * 36
         ),
-        "**Learned labels do not prolong survival** in changing streams, and no policy "
-        "outlasts the PID controller under nine new conditions": lambda: (
+        "**Learned labels show no effect on survival** in changing streams; under nine new "
+        "conditions no policy clearly outlasts the PID controller": lambda: (
             overlap(CHANGING, "memory 0.7 (default)", "none: ablation")
             and len({row["condition"] for row in read_data("robustness", "conditions")}) == 10
             and max(column("robustness", "conditions", "beyond pid, T low")) <= 0.0
@@ -243,7 +253,7 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
         )
     },
     CHANGING: {
-        "no source of labels changes how long the fish lasts.": lambda: overlap(
+        "no effect of the labels on duration is resolved.": lambda: overlap(
             CHANGING,
             *("true label", "memory 0.7 (default)", "memory 1, no forgetting"),
             *("current signal only", "always the middle flow", "none: ablation"),
@@ -274,7 +284,7 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
         "learning then equals a tuned controller": lambda: (
             min(find_row(SENSES, "SAC", "place, drift, heading, own motion")[2:]) > 28.0
         ),
-        "a blind fish that imitates lasts as long as its teacher": lambda: (
+        "a blind imitator lasts as long as its teacher": lambda: (
             taught("own motion, lateral line") > 0.95 * taught("teacher: " + SEEN)
         ),
         "is neither enough nor needed.": lambda: (
@@ -298,8 +308,11 @@ HELD: dict[str, dict[str, Callable[[], bool]]] = {
         ),
     },
     ALGORITHMS: {
+        "biased in theory (Baisero & Amato 2022), [better in our trial]": lambda: (
+            differ("line-sees-unit-no-history", "line-sees-unit").low > 0.0
+        ),
         "SAC converges significantly faster than DRQN; its lead over DQN and double DQN is "
-        "not significant.": lambda: claims.check_algorithms() is None
+        "not significant.": lambda: claims.check_algorithms() is None,
     },
     SPEED: {
         "Both goals are missed.": lambda: all(

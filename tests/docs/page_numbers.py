@@ -8,7 +8,7 @@ from statistics import fmean, stdev
 
 from scipy import stats
 
-from fishrl.benchmark import list_rows
+from fishrl.benchmark import Row, list_rows
 from fishrl.programs.statistics import Interval, find_mean
 from studies.blind_by_reward.sweep import choose_rule, read_scores
 from studies.tables import read_data
@@ -198,10 +198,19 @@ def differ(*arms: str, starts: str = "test") -> Interval:
     return find_mean([a - b for a, b in zip(one, other, strict=True)])
 
 
+def list_scored(task: str, policy: str = "discrete_sac") -> list[Row]:
+    """Return the benchmark's rows of a policy, or of its trainings."""
+    return [row for row in list_rows(task, "test") if row.policy.startswith(policy)]
+
+
 def score(task: str) -> float:
     """Return the mean of the benchmark's measure over the trainings by discrete SAC."""
-    rows = list_rows(task, "test")
-    return fmean(row.value for row in rows if row.policy.startswith("discrete_sac"))
+    return fmean(row.value for row in list_scored(task))
+
+
+def lasting(task: str, policy: str = "discrete_sac") -> list[float]:
+    """Return the shares of the benchmark's starts from which they succeed, %."""
+    return [100.0 * row.metrics["success_rate"] for row in list_scored(task, policy)]
 
 
 def last(policy: str, senses: str) -> list[float]:

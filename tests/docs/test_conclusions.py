@@ -69,7 +69,6 @@ CONCLUDING = re.compile(
 #: Sentences with such a word that say what something is, does, or would be.
 STATED = (
     "Halving the speed doubles the cost and halves",
-    "what a policy with a longer memory will do",
     "3 doubles it again far away",
     "Classifiers always scale their inputs",
     "missed goals and the complete tables",
