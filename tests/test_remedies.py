@@ -100,6 +100,7 @@ UNTRIED = {
     "trust=true": "tests/programs/test_score.py gives it",
     "module:function": "tests/programs/test_score.py gives it",
     "rename one in a subclass": "of an algorithm of one's own",
+    "name that of its critics so in a subclass": "the same",
     "choose gives a {}: give its": "of a control of one's own",
     "keep the argument": "of a class of one's own",
     "changes a field: repeat its type": "of a class of one's own",

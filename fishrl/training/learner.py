@@ -24,6 +24,10 @@ from fishrl.training.settings import LearningSettings
 from fishrl.training.tracing import Traced
 
 
+#: Losses of critics; those of policy and temperature rest during ``critic_frames``.
+CRITIC_LOSSES = frozenset(("loss_critic", "loss_qvalue"))
+
+
 class Networks(NamedTuple):
     """The networks of an algorithm, on the device where they learn."""
 
@@ -90,13 +94,16 @@ class Learner(ABC):
             horizon = settings.actor_average * settings.updates_per_frame * networks.num_fish
             self._average = WeightAverage(self.actor, horizon=horizon, scale=self._scale)
             self.actor = self._average.policy
-        parameters: list[Any] = list(self.loss.parameters())
-        if settings.critic_frames:  # the policy's first, see rest_actor
-            own = list(networks.actor.parameters())
-            known = {id(weight) for weight in own}
-            parameters = [weight for weight in parameters if id(weight) not in known]
-            parameters = [{"params": own}, {"params": parameters}]
-        self.optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate, fused=True)
+        self._rests = False
+        if settings.critic_frames and not CRITIC_LOSSES & {*self.reports}:
+            raise ValueError(
+                f"critic_frames = {settings.critic_frames}: none of the outputs "
+                f"{list(self.reports)} of {type(self.loss).__name__} is "
+                f"{' or '.join(sorted(CRITIC_LOSSES))}; name that of its critics so in a subclass, "
+                "or critic_frames=0"
+            )
+        weights = list(self.loss.parameters())
+        self.optimiser = torch.optim.Adam(weights, lr=settings.learning_rate, fused=True)
         self._renew_step()
         # A checkpoint replaces the tensors of the optimiser, which a traced step has kept.
         self.optimiser.register_load_state_dict_post_hook(self._renew_step)
@@ -145,21 +152,22 @@ class Learner(ABC):
         return dict(zip(self.reports, self._step(batch), strict=True))
 
     def rest_actor(self, is_resting: bool) -> None:
-        """Let the policy keep its weights in the next gradient steps, or learn again."""
-        policy, critics = self.optimiser.param_groups
-        rate = 0.0 if is_resting else critics["lr"]
-        if policy["lr"] != rate:
-            policy["lr"] = rate
+        """Let the critics alone learn in the next gradient steps, or all networks again."""
+        if self._rests != is_resting:
+            self._rests = is_resting
             self._renew_step()
 
     def _take_step(self, batch: TensorDictBase) -> list[Tensor]:
         losses = self.loss(self._read(batch))
         self.optimiser.zero_grad()
-        sum(loss for name, loss in losses.items() if name.startswith("loss_")).backward()
+        sum(loss for name, loss in losses.items() if self._minimises(name)).backward()
         self.optimiser.step()
-        if self._average is not None:
+        if self._average is not None and not self._rests:
             self._average.step()
         return [losses[name].detach() for name in self.reports]
+
+    def _minimises(self, name: str) -> bool:
+        return name in CRITIC_LOSSES if self._rests else name.startswith("loss_")
 
     def _read(self, transitions: TensorDictBase) -> TensorDictBase:
         """Return transitions as networks read them."""

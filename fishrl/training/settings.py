@@ -33,7 +33,7 @@ class LearningSettings(Settings):
             policies read observations: the scale is folded into their first layer.
         initial_policy: trained policy whose weights the new one begins with, of the same algorithm,
             observations and actions: run folder, checkpoint or ``zoo/<name>``.
-        critic_frames: env frames after the warm-up in which the policy keeps its weights and its
+        critic_frames: env frames after the warm-up in which policy and temperature rest, and the
             critics alone learn.
         reflect: whether half of the replayed transitions, drawn at random, are reflected about the
             axis of the flow; for tasks that have a mirror image.
