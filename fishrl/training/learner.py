@@ -23,7 +23,6 @@ from fishrl.training.scaling import Folding, InputScale, ScaledPolicy
 from fishrl.training.settings import LearningSettings
 from fishrl.training.tracing import Traced
 
-
 #: Losses of critics; those of policy and temperature rest during ``critic_frames``.
 CRITIC_LOSSES = frozenset(("loss_critic", "loss_qvalue"))
 
