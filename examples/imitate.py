@@ -103,10 +103,11 @@ class Lesson:
     ) -> None:
         self.budget = budget
         teacher, task = load_policy(name), load_plan(name).task
-        if not isinstance(task, KarmanGait) or task.num_label_inputs or task.action_bounds:
+        has_logits = "logits" in teacher.out_keys
+        if not isinstance(task, KarmanGait) or task.num_label_inputs or not has_logits:
             raise ValueError(
-                f"teacher = {name}: give one for the Kármán gait with discrete actions and no flow "
-                "label, such as zoo/gait_bend"
+                f"teacher = {name}: give one of discrete SAC or PPO for the Kármán gait, with "
+                "discrete actions and no flow label, such as zoo/gait_bend"
             )
         if streams:
             stream = replace(task.stream, speeds_bl=streams)
@@ -201,6 +202,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=Budget.seed)
     parser.add_argument("--folder", type=Path, default=Path("runs/imitation"))
     chosen = parser.parse_args()
+    if chosen.folder.exists():
+        parser.error(f"--folder {chosen.folder}: is there already; name a new one")
     budget = Budget(decisions=chosen.decisions, num_stacked=chosen.stacked, seed=chosen.seed)
     lesson = Lesson(chosen.teacher, tuple(chosen.senses), budget, tuple(chosen.streams))
     rounds, folder, config = lesson.give(), chosen.folder, lesson.plan.to_config()

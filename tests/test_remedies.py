@@ -100,6 +100,7 @@ UNTRIED = {
     "trust=true": "tests/programs/test_score.py gives it",
     "module:function": "tests/programs/test_score.py gives it",
     "rename one in a subclass": "of an algorithm of one's own",
+    "holds something else than a checkpoint": "tests/training/test_checkpoint.py saves elsewhere",
     "name that of its critics so in a subclass": "the same",
     "choose gives a {}: give its": "of a control of one's own",
     "keep the argument": "of a class of one's own",

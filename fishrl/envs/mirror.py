@@ -30,6 +30,13 @@ class Mirror(NamedTuple):
                 f"reflect: the mirror image of {len(self.observation)} of {num_obs} numbers is "
                 "known; list senses with Sense(mirror=...) instead of observe, or reflect=false"
             )
+        for image in (self.observation, self.critic_observation):
+            back = [image[abs(entry) - 1] * (1 if entry > 0 else -1) for entry in image]
+            if back != [*range(1, len(image) + 1)]:
+                raise ValueError(
+                    f"reflect: Sense(mirror=...) gives {image}, whose own image must be the "
+                    "observation: 2 for 1 needs 1 for 2, and -2 for 1 needs -1 for 2"
+                )
         action, numbers = self.action, range(num_actions)
         fits = (
             sorted(action) == [*numbers] and all(action[action[a]] == a for a in numbers)

@@ -40,6 +40,7 @@ from fishrl.files import claim_file
 from fishrl.programs.export_policy import read_revision
 from fishrl.programs.program import program
 from fishrl.programs.statistics import Interval, find_mean, find_share
+from fishrl.programs.stored_task import read_result
 from fishrl.training.baselines import find_baselines
 from fishrl.training.callback import SILENT, Callback
 from fishrl.training.checkpoint import Checkpoint
@@ -116,7 +117,7 @@ def find_policy(policy: str, version: Version, *, trust: bool) -> Scored:
         "run",
         policy,
         plan.task.num_stacked,
-        Checkpoint.find(policy).frames,
+        read_result(policy).get("frames", Checkpoint.find(policy).frames),
         None if plan.recognition is None else type(plan.recognition).__name__,
         compare(plan.task, task) + ["initial_policy"] * (plan.initial_policy is not None),
     )

@@ -228,6 +228,8 @@ def _sum(file: Path) -> str:
 def _put_in_place(stage: Path, path: Path, *, frames: int, keep: int) -> None:
     """Rename a complete checkpoint to ``path``; a complete one can be found at any moment."""
     is_first = not any(path.glob("*"))
+    if not is_first and not any((path / name).is_file() for name in (MANIFEST, SUMS)):
+        raise ValueError(f"{path}: holds something else than a checkpoint; name another folder")
     if not is_first:
         previous = _name_older(path, _read_frames(path))
         shutil.rmtree(previous, ignore_errors=True)

@@ -94,9 +94,10 @@ def make_collector(opened: Opened, learner: Learner, *, seed: int) -> Any:
     make_flows = partial(_extend, opened.make_flows, learner.transforms)
     env = make_flows(flows=plan.flows, seed=seed)
     actor_device = plan.learner_device and next(learner.actor.parameters()).device
+    before = deepcopy(explorer.state_dict())
     local = ResumableCollector(
         env,
-        deepcopy(explorer) if plan.ray_collectors else explorer,  # a first decision here counts
+        explorer,
         frames_per_batch=plan.flows.num_envs,
         total_frames=-1,
         init_random_frames=plan.warmup_frames,
@@ -104,6 +105,7 @@ def make_collector(opened: Opened, learner: Learner, *, seed: int) -> Any:
         env_device=env.device,  # given, TorchRL waits for actions that come from a GPU
         storing_device=plan.policy_device,  # trajectory ids too, which DRQN's sampler reads
     )
+    explorer.load_state_dict(before)  # TorchRL has asked for a decision, which epsilon counts
     if not plan.ray_collectors:
         return local
     from fishrl.training.cluster import ClusterCollector

@@ -228,6 +228,8 @@ class OnPolicyLearner(Learner):
     ) -> None:
         networks.loss.make_value_estimator(gamma=settings.gamma, lmbda=gae_lambda)
         super().__init__(networks._replace(sampler=SamplerWithoutReplacement()), settings)
+        if self._scale is not None:  # the policy must stay the one that took the first rollout
+            self._initial = Folding(networks.actor, self._scale)
         self._collected = [*self._keys, ("next", "diverged")]
         self._keys += ["advantage", "value_target"]
         self._length, self._decisions = rollout_length, list[TensorDictBase]()

@@ -70,14 +70,20 @@ class Training:
                 if opened.checkpoint is not None:
                     self._restore(opened.checkpoint)
                     self._write_settings()
-            if self.plan.total_frames < self.learner.first_frames:
+            if self.plan.total_frames < self._first_step():
                 logger.warning(
-                    "no gradient step in this run: total_frames = %d, the first step is at %d; "
-                    "raise total_frames",
+                    "no gradient step of the policy in this run: total_frames = %d, the first is "
+                    "at %g; raise total_frames",
                     self.plan.total_frames,
-                    self.learner.first_frames,
+                    self._first_step(),
                 )
             self._held = self._held.pop_all()
+
+    def _first_step(self) -> float:
+        """Return the env frames before the first gradient step of the policy."""
+        per_frame = self.plan.updates_per_frame * self.task.num_fish
+        due = self.plan.warmup_frames + 1.0 / per_frame if per_frame else math.inf
+        return max(self.learner.first_frames, math.ceil(due)) + self.plan.critic_frames
 
     def _write_settings(self) -> None:
         """Write the settings, which a result of other settings would not fit."""
@@ -178,7 +184,8 @@ class Training:
         """Take the gradient steps that are due."""
         plan, counters = self.plan, self.counters
         per_frame = plan.updates_per_frame * self.task.num_fish
-        due = math.floor(per_frame * (counters.frames - plan.warmup_frames)) - counters.updates
+        due = per_frame * (counters.frames - plan.warmup_frames) - counters.updates
+        due = math.floor(due + 1e-6)  # of PPO, a whole number but for round-off
         if due <= 0 or not self.learner.is_ready:
             return
         if plan.critic_frames:

@@ -1,5 +1,6 @@
 """Open a run: read its folder, compare settings, decide whether it begins, continues or ended."""
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -11,6 +12,7 @@ from typing import Any
 from torchrl.envs import TransformedEnv
 
 from fishrl.envs import AbstractTask, make_env
+from fishrl.envs.extensions import HasFlowLabels, HasHistory, find_extension
 from fishrl.extras import show_install
 from fishrl.memory import check_memory
 from fishrl.physics.fast.checks import check_device
@@ -20,6 +22,8 @@ from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import CHANGED, HeldError, RunFolder, read_config, read_summary
+
+logger = logging.getLogger(__name__)
 
 #: Settings that a run keeps when it continues, regardless of the settings given.
 _OWN = ("recognition", "folder", "name")
@@ -63,8 +67,12 @@ class Opened:
             return None
         found = Checkpoint.find(plan.initial_policy)
         other = Plan.from_config(found.config)
-        pairs = {"algorithm": [type(each.algorithm).__name__ for each in (plan, other)]}
-        for name, (wanted, stored) in (pairs | {"hidden": [plan.hidden, other.hidden]}).items():
+        pairs: dict[str, list[Any]] = {
+            "algorithm": [type(each.algorithm).__name__ for each in (plan, other)],
+            "hidden": [plan.hidden, other.hidden],
+            "senses": [[sense.name for sense in each.task.senses] for each in (plan, other)],
+        }
+        for name, (wanted, stored) in pairs.items():
             if wanted != stored:
                 raise ValueError(
                     f"{name} = {wanted}: the initial_policy {plan.initial_policy} was trained with "
@@ -107,6 +115,13 @@ class Opened:
         check_device(plan.policy_device)
         for device, parts in self.count_bytes().items():
             check_memory(device=device, **parts)
+        is_observed = find_extension(self.task, HasFlowLabels).num_label_inputs > 0
+        is_read = is_observed or bool(find_extension(self.task, HasHistory).inputs)
+        if plan.recognition is not None and not is_read:
+            logger.warning(
+                "recognition: the policy does not observe flow_label, and no action depends on the "
+                "flow; recognition=null learns the same"
+            )
         _ = self.baselines, self.initial
         if self.checkpoint is not None:
             _ = self.checkpoint.files
@@ -115,6 +130,7 @@ class Opened:
         """Return by device what will fill its memory at once, and how much, bytes."""
         plan, spec, config = self.plan, self.spec, self.task.flow_config()
         transition = 2 * (spec.num_inputs + spec.num_critic_inputs + spec.num_actions)
+        transition += plan.algorithm.count_states(plan)
         # the eager step of the flows that advance together has some forty-five temporary fields
         together = plan.flows.num_envs if plan.flows.device != "cpu" else 1
         copies = 2 * plan.flows.num_envs + (0 if plan.flows.compile else 5 * together)
@@ -148,7 +164,7 @@ def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
     """Open the run of these settings, or the run in a folder.
 
     If the folder of the settings holds a run, it keeps its folder, name and classifier, and its
-    logger unless one is given. One that failed before its first frame begins with new settings.
+    logger unless one is given. One that failed before its first checkpoint takes new settings.
 
     Args:
         run: settings, or the folder of a run.

@@ -18,9 +18,6 @@ class Reflection(nn.Module):
     Args:
         mirror: mirror image of the task.
         stacks: entries, with their lengths and the numbers of stacked observations.
-
-    Raises:
-        ValueError: if the mirror image of the mirror image is another one.
     """
 
     def __init__(self, mirror: Mirror, stacks: Mapping[str, tuple[int, int]]) -> None:
@@ -35,10 +32,6 @@ class Reflection(nn.Module):
             starts = num * torch.arange(num_stacked)[:, None]
             self.register_buffer(f"{key}_index", (signed.abs() - 1 + starts).flatten())
             self.register_buffer(f"{key}_sign", signed.sign().float().repeat(num_stacked))
-        for key, (length, _) in stacks.items():
-            numbers = torch.arange(1.0, length + 1)
-            if not torch.equal(self._reflect(key, self._reflect(key, numbers)), numbers):
-                raise ValueError(f"mirror = {mirror}: its mirror image must be the observation")
 
     def _reflect(self, key: str, stack: Tensor) -> Tensor:
         index, sign = self.get_buffer(f"{key}_index"), self.get_buffer(f"{key}_sign")

@@ -1,13 +1,18 @@
 """Imitation of a trained policy, on kinematic fish."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
-from examples.imitate import Budget, Lesson
+from examples.imitate import Budget, Lesson, main
 from fishrl.envs import Flows, make_env
 from fishrl.envs.senses import SenseName
+from fishrl.training import load_plan
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.checkpoint import save_checkpoint
+from fishrl.training.policy_spec import PolicySpec
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -62,6 +67,20 @@ def test_first_layer_takes_over_the_scaling() -> None:
     assert torch.allclose(lesson.policy.module[0].module(inputs), before, atol=1e-5)
 
 
-def test_teacher_of_another_task_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"teacher = zoo/predation_sharp: .* as zoo/gait_bend"):
-        Lesson("zoo/predation_sharp", ("place",), Budget())
+def test_teacher_of_another_task_or_algorithm_is_refused(tmp_path: Path) -> None:
+    plan = replace(load_plan("zoo/gait_bend"), algorithm=DQN())
+    spec, folder = PolicySpec.for_task(plan.task), tmp_path / "dqn"
+    actor = {"actor": plan.algorithm.make_policy(spec)}
+    save_checkpoint(folder, actor, spec=spec, frames=1, config=plan.to_config())
+    for teacher in ("zoo/predation_sharp", str(folder)):
+        with pytest.raises(ValueError, match=rf"teacher = {teacher}: .* as zoo/gait_bend"):
+            Lesson(teacher, ("place",), Budget())
+
+
+def test_folder_that_is_there_is_refused_before_the_lesson(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["imitate.py", "place", "--folder", str(tmp_path)])
+    with pytest.raises(SystemExit):
+        main()
+    assert "is there already" in capsys.readouterr().err

@@ -15,6 +15,7 @@ from fishrl.benchmark import find_version
 from fishrl.envs import Flows, make_env, make_task
 from fishrl.programs.score import find_policy, main, score
 from fishrl.training import load_plan
+from fishrl.training.checkpoint import Checkpoint
 from fishrl.wrappers.stable_baselines import FlowVecEnv
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -59,6 +60,12 @@ def test_row_says_that_a_policy_began_as_another(monkeypatch: pytest.MonkeyPatch
     assert key not in find_policy("zoo/gait_bend", version, trust=False).differs
     monkeypatch.setattr("fishrl.programs.score.load_plan", lambda _: replace(plan, **{key: "x"}))
     assert key in find_policy("zoo/gait_bend", version, trust=False).differs
+
+
+def test_row_has_the_decisions_of_the_training_not_those_of_its_best_checkpoint() -> None:
+    name = "zoo/predation_bend"
+    found = find_policy(name, find_version("predation-bend-v1"), trust=False)
+    assert found.decisions == 11_200 > Checkpoint.find(name).frames
 
 
 def test_archive_needs_trust_and_acts_as_its_model(tmp_path: Path) -> None:

@@ -42,6 +42,15 @@ def test_newer_checkpoint_replaces_old_and_leaves_no_debris(tmp_path: Path) -> N
     assert [path.name for path in tmp_path.iterdir()] == ["last"]
 
 
+def test_folder_of_something_else_is_not_replaced(tmp_path: Path) -> None:
+    """As ``--folder runs`` would, instead of ``--folder runs/student``."""
+    (tmp_path / "runs" / "first").mkdir(parents=True)
+    with pytest.raises(ValueError, match="runs: holds something else than a checkpoint"):
+        save(tmp_path / "runs")
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["first"]
+    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
+
+
 def test_checkpoint_renamed_before_a_kill_is_found(tmp_path: Path) -> None:
     save(tmp_path / "last")
     (tmp_path / "last").rename(tmp_path / "last-000000007")

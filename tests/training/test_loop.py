@@ -239,7 +239,12 @@ def test_fish_learns_to_catch_still_food(
 
 def test_run_without_gradient_steps_warns_once(toy: Toy, caplog: pytest.LogCaptureFixture) -> None:
     online = {"algorithm": PPO(rollout_length=32)}
-    for few, num_warnings in (({"total_frames": 96}, 0), ({}, 1), (online, 1)):
+    rests, rare = {"critic_frames": 20}, {"updates_per_frame": 0.01}
+    for few, num_warnings in (
+        *(({"total_frames": 96}, 0), ({}, 1), (online, 1)),
+        *((rests | {"total_frames": 96}, 1), (rests | {"total_frames": 104}, 0)),
+        *((rare | {"total_frames": 179}, 1), (rare | {"total_frames": 180}, 0)),
+    ):
         caplog.clear()
         toy.begin(**{"total_frames": 80} | QUICK | few).run()
         said = [each for each in caplog.records if "no gradient step" in each.getMessage()]

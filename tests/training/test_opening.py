@@ -1,6 +1,7 @@
 """A run is checked before anything slow: no compile, no wakes, no folder."""
 
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -8,11 +9,16 @@ import pytest
 import torch
 
 from fishrl.envs import Flows, KarmanGait, Oracle, Predation, make_env
+from fishrl.envs.control import Bend
 from fishrl.envs.streams import Stream
 from fishrl.physics import InPlaceSolver
 from fishrl.programs.sweeps.runs import advise, read_run
 from fishrl.training import Plan, complete, open_run
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.drqn import DRQN
+from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.loop import Training
+from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import HeldError, RunFolder
 from tests.envs.conftest import SMALL
 from tests.training.conftest import QUICK, Toy, make_run_folder, make_toy_plan
@@ -70,6 +76,35 @@ def test_labels_lengthen_the_observation_of_the_policy() -> None:
     )
     num_flows = len(task.flow_labels)
     assert with_labels.spec.num_observed == without.spec.num_observed + num_flows
+
+
+def test_initial_policy_of_other_senses_is_refused(tmp_path: Path) -> None:
+    observed = ("place", "drift"), ("water_velocity", "place"), ("drift", "place")
+    first, *others = (Plan(task=KarmanGait(observes=names)) for names in observed)
+    spec = PolicySpec.for_task(first.task)
+    actor = {"actor": first.algorithm.make_policy(spec)}
+    save_checkpoint(tmp_path / "first", actor, spec=spec, frames=1, config=first.to_config())
+    for plan in others:
+        opened = open_run(replace(plan, initial_policy=str(tmp_path / "first")))
+        with pytest.raises(ValueError, match=r"senses = .*: the initial_policy"):
+            opened.check()
+
+
+def test_labels_that_nobody_reads_are_named(caplog: pytest.LogCaptureFixture) -> None:
+    for observed in (("place",), ("place", "flow_label")):
+        task = KarmanGait(observes=observed, control=Bend())
+        open_run(Plan(task=task, recognition=Oracle())).check()
+    said = [each.getMessage() for each in caplog.records]
+    assert ["does not observe flow_label" in words for words in said] == [True]
+
+
+def test_states_of_a_recurrent_policy_count_in_memory(tmp_path: Path) -> None:
+    given = {"hidden": (256,), "buffer_size": 1000}
+    plain, recurrent = (
+        open_run(make_toy_plan(tmp_path, algorithm=kind, **given)).count_bytes()["cpu"]["buffer"]
+        for kind in (DQN(), DRQN())
+    )
+    assert recurrent - plain == 4 * 1000 * 2 * 256
 
 
 @pytest.mark.parametrize("seen", ["nothing", "nothing, other gamma", "folder", "checkpoint"])

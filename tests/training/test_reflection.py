@@ -59,8 +59,8 @@ def test_half_of_the_transitions_is_reflected_whole() -> None:
 
 
 def test_mirror_that_is_no_reflection_is_refused() -> None:
-    with pytest.raises(ValueError, match="its mirror image must be the observation"):
-        Reflection(MIRROR._replace(observation=(2, -1)), STACKS)
+    with pytest.raises(ValueError, match="whose own image must be the observation"):
+        MIRROR._replace(observation=(2, -1)).check(num_obs=2, num_actions=3, is_discrete=True)
 
 
 @pytest.mark.parametrize("algorithm", [PPO(rollout_length=8), DRQN()], ids=["ppo", "drqn"])

@@ -6,6 +6,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from fishrl.training import Algorithm
 from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.learner import Learner
 from fishrl.training.scaling import InputScale
 from tests.training.conftest import ALGORITHMS, Toy, answer
@@ -26,6 +27,16 @@ def test_saved_equals_learner(toy: Toy, algorithm: Algorithm, hidden: tuple[int,
     states = next(iter(toy.trainings[0].collector)).reshape(-1)
     saved, own = (answer(policy, states) for policy in (learner.actor, learner.explorer))
     torch.testing.assert_close(saved, own, rtol=1e-4, atol=1e-5)  # float32
+
+
+@pytest.mark.parametrize("is_continuous", [False, True])
+def test_first_rollout_stays_that_of_the_policy(toy: Toy, is_continuous: bool) -> None:
+    learner = toy.collect(
+        PPO(rollout_length=8), scale_inputs=True, task={"is_continuous": is_continuous}
+    )
+    found = learner.update()
+    assert float(found["clip_fraction"]) == 0.0
+    assert float(found["kl_approx"]) == pytest.approx(0.0, abs=1e-4)  # float32
 
 
 def test_loss_reads_zero_mean_and_unit_deviation(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -45,6 +45,7 @@ class ToyPredation:
     num_fish, body_length, bends = 1, 10, False
     critic_num_stacked = 2
     mirror = Mirror((1, -2, 3, -4), (-1, 2), (2, 1, 0))
+    senses: tuple[Sense, ...] = ()
     scales = SimpleNamespace(period=10, body_length=10)
 
     time_limit: int = 30

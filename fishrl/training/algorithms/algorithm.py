@@ -80,6 +80,10 @@ class Algorithm(Settings, ABC):
             )
         return {}
 
+    def count_states(self, settings: LearningSettings) -> int:
+        """Return how many numbers of its own a transition holds, for the estimate of memory."""
+        return 0
+
     @abstractmethod
     def make_policy(self, spec: PolicySpec, generator: torch.Generator | None = None) -> Any:
         """Make the policy that is evaluated and saved, greedy under ``DETERMINISTIC``.

@@ -54,6 +54,10 @@ class DRQN(DQN):
             raise ValueError("hidden = (): DRQN needs a hidden layer, the last of which recurs")
         return super().adapt(settings)
 
+    def count_states(self, settings: LearningSettings) -> int:
+        """Count the two states of the LSTM."""
+        return 2 * settings.hidden[-1]
+
     def make_loss(
         self, policy: Any, spec: PolicySpec, generator: torch.Generator
     ) -> RecurrentDQNLoss:
