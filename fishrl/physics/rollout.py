@@ -31,7 +31,7 @@ def simulate(
     params: FlowParams | None = None,
     *,
     num_steps: int,
-    interval: int = 1,
+    interval: int | None = None,
     control: Callable[[int, FlowState], FlowState] | None = None,
     record: Callable[[FlowState], Tree] | None = None,
     segment: int | None = None,
@@ -54,8 +54,8 @@ def simulate(
         config: configuration of all flows.
         params: as in ``step``.
         num_steps: N, a multiple of ``interval``.
-        interval: steps between calls of ``control`` and ``record``; with levels, a multiple of
-            2^(levels - 1).
+        interval: steps between calls of ``control`` and ``record``; by default those of a step of
+            the coarsest level, 2^(levels - 1), of which it is a multiple.
         control: called with the number of the interval and the state at its beginning; returns the
             state to continue with, such as one whose bodies have another ``frequency`` or ``bend``.
             It must not depend on anything that changes between calls with the same number.
@@ -76,7 +76,7 @@ def simulate(
             ``InPlaceSolver.command_``, except within such a transform.
     """
     unit = config.coarsest_spacing
-    interval = unit if interval == 1 else interval
+    interval = unit if interval is None else interval
     if interval < 1 or num_steps < interval or num_steps % interval or interval % unit:
         raise ValueError(
             f"num_steps = {num_steps}, interval = {interval}: num_steps must be a positive multiple"

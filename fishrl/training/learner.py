@@ -73,6 +73,11 @@ class Learner(ABC):
                 f"{type(self.loss).__name__} has the outputs {list(self.reports)}: the sum of "
                 "those named loss_... is minimised; rename one in a subclass, as MaskedDQNLoss does"
             )
+        if "action" not in self.explorer.out_keys:
+            raise ValueError(
+                f"{type(self.explorer).__name__} has the outputs {list(self.explorer.out_keys)}: "
+                "an explorer must write an 'action'"
+            )
         device = next(self.actor.parameters()).device
         used = {key: networks.stacks[key] for key in self._keys if key in networks.stacks}
         self._scale: InputScale | None = None
@@ -117,15 +122,23 @@ class Learner(ABC):
         """Store transitions ``[N]`` except diverged ones, and return how many diverged.
 
         Raises:
-            ValueError: if a state has no legal action.
+            ValueError: if a state has no legal action, or an entry is not finite.
         """
+        lost = transitions["next", "diverged"].reshape(-1)
+        for key in self._keys:
+            values = transitions.get(key, None)
+            if values is not None and not values[~lost].isfinite().all():
+                raise ValueError(
+                    f"{key}: is not finite in a flow that has not diverged; mend terms of the "
+                    "reward, or the observation"
+                )
         mask = transitions.get(("next", "action_mask"))
         if mask is not None and not mask.any(-1).all():
             raise ValueError(
                 "action_mask: a state has no legal action; every state needs one, final ones too"
             )
         self._remember(transitions)
-        return int(transitions["next", "diverged"].sum())
+        return int(lost.sum())
 
     @abstractmethod
     def _remember(self, transitions: TensorDictBase) -> None:

@@ -196,6 +196,12 @@ class Training:
                 losses = self.learner.update()
                 counters.updates += 1
         counters.losses = {name: float(losses[name]) for name in self.learner.reports}
+        broken = [name for name, x in counters.losses.items() if "loss_" in name and x != x]
+        if broken:
+            raise ValueError(
+                f"{', '.join(broken)}: is NaN after {counters.updates} gradient steps, so the "
+                "policy is lost; lower learning_rate"
+            )
 
     def _conclude(self, metrics: dict[str, float]) -> None:
         """Evaluate, log and save if due after a round with these metrics."""

@@ -20,7 +20,7 @@ from fishrl.settings import Role, list_fields
 from fishrl.training.baselines import choose_baselines
 from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.plan import Plan
-from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.policy_spec import PolicySpec, check_senses
 from fishrl.training.run_folder import CHANGED, HeldError, RunFolder, read_config, read_summary
 
 logger = logging.getLogger(__name__)
@@ -67,17 +67,14 @@ class Opened:
             return None
         found = Checkpoint.find(plan.initial_policy)
         other = Plan.from_config(found.config)
-        pairs: dict[str, list[Any]] = {
-            "algorithm": [type(each.algorithm).__name__ for each in (plan, other)],
-            "hidden": [plan.hidden, other.hidden],
-            "senses": [[sense.name for sense in each.task.senses] for each in (plan, other)],
-        }
-        for name, (wanted, stored) in pairs.items():
+        pairs = {"algorithm": [type(each.algorithm).__name__ for each in (plan, other)]}
+        for name, (wanted, stored) in (pairs | {"hidden": [plan.hidden, other.hidden]}).items():
             if wanted != stored:
                 raise ValueError(
                     f"{name} = {wanted}: the initial_policy {plan.initial_policy} was trained with "
                     f"{stored}; take that, or another policy"
                 )
+        check_senses(plan.task, other.task, policy=plan.initial_policy)
         self.spec.check(found.manifest.metadata.model_dump(), path=found.path)
         return found
 

@@ -20,7 +20,7 @@ from fishrl.training.callback import SILENT, Callback, join
 from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.plan import Plan
-from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.policy_spec import PolicySpec, check_senses
 from fishrl.zoo import PREFIX, list_policies
 
 
@@ -62,10 +62,12 @@ def load_policy(
     plan = Plan.from_config(found.config)
     if has_labels is None:
         has_labels = plan.recognition is not None
-    spec = PolicySpec.for_task(task or plan.task, hidden=plan.hidden, has_labels=has_labels)
+    task = task or plan.task
+    spec = PolicySpec.for_task(task, hidden=plan.hidden, has_labels=has_labels)
     with torch.random.fork_rng(devices=[]):  # for weights that are replaced
         actor = plan.algorithm.make_policy(spec).to(device)
     found.load({"actor": actor}, spec=spec, device=device)
+    check_senses(task, plan.task, policy=checkpoint)
     return actor
 
 

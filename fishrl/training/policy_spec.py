@@ -14,6 +14,16 @@ from fishrl.envs.sense import count_numbers
 CHECKED = ("task", "is_continuous", "num_inputs", "num_stacked", "num_actions")
 
 
+def check_senses(task: AbstractTask, trained: AbstractTask, *, policy: str | Path) -> None:
+    """Raise ValueError if a policy's observation is of other senses, which sizes may not tell."""
+    own, stored = ([s.name for s in each.senses if s.numbers] for each in (task, trained))
+    if own != stored:
+        raise ValueError(
+            f"senses = {own}: the policy {policy} was trained with {stored}; take those, in this "
+            "order, or another policy"
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class PolicySpec:
     """Task and sizes of a policy; it fits no others."""

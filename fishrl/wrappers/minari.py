@@ -5,6 +5,7 @@ spaces, but zeros instead of the data of any Minari dataset.
 """
 
 import os
+import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -31,6 +32,8 @@ with needing("export", __name__):
 
 def find_dataset(name: str, folder: str | Path) -> Path:
     """Return the path of a new dataset; raise ValueError if its name is invalid or exists."""
+    if not re.search(r"-v\d+$", name):
+        raise ValueError(f"name = {name}: give a version, as in fishrl/predation-expert-v0")
     parse_dataset_id(name)
     path = Path(folder).expanduser().absolute() / name
     if path.exists():

@@ -229,6 +229,8 @@ def test_gradients_of_a_beat_with_shifts_equal_central_differences():
         state = FlowState(make_uniform(still, still - 0.15, still), (fish,), 0.0 * ONE)
         state = make_patches(state, config, own)
         start = state.patches[0].origin
+        with pytest.raises(ValueError, match=r"interval = 1: .* that of 2"):
+            simulate(state, config, own, num_steps=90, interval=1)
         state, _ = simulate(state, config, own, num_steps=90)
         assert (state.patches[0].origin != start).any()
         return state.bodies[0].position[0, 1] + state.bodies[0].work[0]

@@ -210,6 +210,9 @@ def test_failed_dataset_can_be_written_again(
     words = ["policy=random", "flows.compile=false", "flows.num_envs=1", "episodes=1"]
     words += ["task=predation-quick-v1", "task.time_limit=1", f"folder={tmp_path}", "name=fish-v0"]
 
+    with pytest.raises(ValueError, match="name = fish: give a version"):
+        export_data.main.run(export_data.main.read([*words[:-1], "name=fish"]))
+
     def fail(*_: Any) -> None:
         raise KeyboardInterrupt
 

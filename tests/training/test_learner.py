@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict.nn import TensorDictModule
 from torchrl.objectives import DQNLoss
 
 from fishrl.training import DiscreteSAC
@@ -62,3 +63,26 @@ def test_memory_does_not_grow_with_frames(toy: Toy, algorithm: DiscreteSAC | DRQ
     training.run()
     assert count_tensors() <= tensors + 5
     assert measure_memory_mb() < megabytes + 10.0  # allocators keep some; a frame is 5 kB
+
+
+@pytest.mark.parametrize("key", ["reward", "observation_stack"])
+def test_number_that_is_not_finite_ends_a_training_unless_the_flow_diverged(
+    toy: Toy, key: str
+) -> None:
+    learner = toy.collect(DiscreteSAC(), 1)
+    batch = next(iter(toy.trainings[0].collector)).reshape(-1)
+    batch["next", key][2] = torch.nan
+    batch["next", "diverged"][2] = True
+    assert learner.store(batch.clone()) == 1
+    batch["next", "diverged"][2] = False
+    with pytest.raises(ValueError, match=f"{key}.*is not finite"):
+        learner.store(batch)
+
+
+def test_explorer_without_an_action_is_refused(toy: Toy) -> None:
+    class Mute(DiscreteSAC):
+        def make_explorer(self, policy: Any, spec: Any) -> TensorDictModule:
+            return TensorDictModule(torch.nn.Linear(16, 3), ["observation_stack"], ["actoin"])
+
+    with pytest.raises(ValueError, match="an explorer must write an 'action'"):
+        toy.begin(algorithm=Mute())

@@ -27,6 +27,7 @@ from fishrl.training import (
     open_run,
     resume,
 )
+from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.loop import Training
@@ -235,6 +236,14 @@ def test_fish_learns_to_catch_still_food(
     # Random actions captured 6, 5, 9 and 3 of 32, PPO 32.
     assert learned >= 0.75
     assert at_random <= 0.4
+
+
+def test_training_ends_when_a_loss_is_no_number(toy: Toy) -> None:
+    training = toy.begin(algorithm=DQN(), **QUICK)
+    for weight in training.learner.loss.parameters():
+        weight.data.fill_(torch.nan)
+    with pytest.raises(ValueError, match="loss_qvalue: is NaN after 2 gradient steps"):
+        training.run()
 
 
 def test_run_without_gradient_steps_warns_once(toy: Toy, caplog: pytest.LogCaptureFixture) -> None:

@@ -86,7 +86,7 @@ def test_initial_policy_of_other_senses_is_refused(tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "first", actor, spec=spec, frames=1, config=first.to_config())
     for plan in others:
         opened = open_run(replace(plan, initial_policy=str(tmp_path / "first")))
-        with pytest.raises(ValueError, match=r"senses = .*: the initial_policy"):
+        with pytest.raises(ValueError, match=r"senses = .*: the policy"):
             opened.check()
 
 

@@ -1,11 +1,12 @@
 """Policies are loaded for the task they were trained for, and evaluated as at the end of a run."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from fishrl.envs import Flows, Oracle, PredictedFlowLabel, TrueFlowLabel
-from fishrl.training import Algorithm, evaluate, load_plan
+from fishrl.training import Algorithm, evaluate, load_plan, load_policy
 from fishrl.training.policies import prepare
 from fishrl.zoo import find_policy
 from tests.training.conftest import ACTOR_CRITICS, QUICK, Toy
@@ -41,3 +42,10 @@ def test_evaluate_takes_baseline_names_and_policies() -> None:
     assert still["episodes"] == 4
     with pytest.raises(ValueError, match="did you mean 'pursuit'"):
         evaluate("pursiut", **given)
+
+
+def test_policy_with_its_senses_in_another_order_is_refused() -> None:
+    task = load_plan("zoo/gait_bend_blind_line").task
+    task = replace(task, observes=task.observes[::-1])
+    with pytest.raises(ValueError, match=r"senses = \['lateral line', 'own motion'\]: the policy"):
+        load_policy("zoo/gait_bend_blind_line", task=task)

@@ -124,6 +124,11 @@ class BodyConfig(Settings, ABC):
         x1, y1 = np.roll(x, -1), np.roll(y, -1)
         cross = x * y1 - y * x1
         area = cross.sum() / 2.0
+        if area > 0.0:
+            raise ValueError(
+                f"{type(self).__name__}.draw() runs counter-clockwise, y upward: reverse pieces "
+                "and their points"
+            )
         centre = np.array([((x + x1) * cross).sum(), ((y + y1) * cross).sum()]) / (6.0 * area)
         square = ((x * x + x * x1 + x1 * x1 + y * y + y * y1 + y1 * y1) * cross).sum() / 12.0
         return abs(area), centre, abs(square) - abs(area) * float(centre @ centre)

@@ -98,6 +98,7 @@ class Skin(Settings, ABC):
                 f"{fitted.spacing:.2f} nodes apart, allowed is {low} to {high} with skin = "
                 f"{own}(); leave out marker_spacing and num_markers, or change the size"
             )
+        _ = body.area  # of an outline that runs clockwise
         least = self.find_least_density(fitted)
         if body.motion.free_axes and body.density_ratio < least:
             raise ValueError(

@@ -1,6 +1,6 @@
 """Discrete soft actor-critic, the algorithm of the paper."""
 
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import torch
 from pydantic import Field
@@ -23,11 +23,15 @@ class DiscreteSAC(Algorithm):
 
     is_traced = True
     has_critic = True
-    label: ClassVar[str] = ""  # names of run folders leave out the default algorithm
 
     alpha_init: Annotated[float, Field(gt=0, le=1e6)] = 1.0
     target_entropy_weight: Annotated[float, Field(ge=0, le=1)] = 0.1
     norms_critics: bool = False
+
+    @property
+    def label(self) -> str:
+        """Nothing, as names of run folders leave out the default algorithm."""
+        return "" if type(self) is DiscreteSAC else super().label
 
     def make_policy(
         self, spec: PolicySpec, generator: torch.Generator | None = None

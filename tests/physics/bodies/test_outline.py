@@ -12,7 +12,7 @@ from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellip
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
 from fishrl.physics.geometry import deform_body, place_markers
-from fishrl.physics.skins import ImmersedBoundary
+from fishrl.physics.skins import BounceBack, ImmersedBoundary
 from tests.physics.flows import ONE, measure_polygon, place_body
 
 
@@ -122,3 +122,22 @@ def test_a_kick_is_one_period_of_a_sine() -> None:
     assert max(speeds) == pytest.approx(0.02, rel=0.01)
     assert sum(speeds) == pytest.approx(0.0, abs=1e-12)
     assert speeds[30:] == [0.0] * 10
+
+
+class Square(BodyConfig):
+    """A square, drawn clockwise or not."""
+
+    side: float
+    is_clockwise: bool
+
+    def draw(self) -> list[np.ndarray]:
+        corners = self.side * np.array([(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
+        corners = corners if self.is_clockwise else corners[::-1]
+        return [corners[n : n + 2] for n in range(4)]
+
+
+def test_outline_that_runs_counter_clockwise_is_refused() -> None:
+    """Its drag was negative."""
+    assert BounceBack().fit(Square(side=20.0, is_clockwise=True)).area == pytest.approx(400.0)
+    with pytest.raises(ValueError, match=r"Square.draw\(\) runs counter-clockwise"):
+        BounceBack().fit(Square(side=20.0, is_clockwise=False))
