@@ -82,8 +82,9 @@ class Training:
     def _first_step(self) -> float:
         """Return the env frames before the first gradient step of the policy."""
         per_frame = self.plan.updates_per_frame * self.task.num_fish
-        due = self.plan.warmup_frames + 1.0 / per_frame if per_frame else math.inf
-        return max(self.learner.first_frames, math.ceil(due)) + self.plan.critic_frames
+        due = math.ceil(1.0 / per_frame) if per_frame else math.inf
+        first = max(self.learner.first_frames, self.plan.warmup_frames + due)
+        return first + self.plan.critic_frames
 
     def _write_settings(self) -> None:
         """Write the settings, which a result of other settings would not fit."""

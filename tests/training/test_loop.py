@@ -253,6 +253,7 @@ def test_run_without_gradient_steps_warns_once(toy: Toy, caplog: pytest.LogCaptu
         *(({"total_frames": 96}, 0), ({}, 1), (online, 1)),
         *((rests | {"total_frames": 96}, 1), (rests | {"total_frames": 104}, 0)),
         *((rare | {"total_frames": 179}, 1), (rare | {"total_frames": 180}, 0)),
+        ({"updates_per_frame": 0.0, "total_frames": 96}, 1),
     ):
         caplog.clear()
         toy.begin(**{"total_frames": 80} | QUICK | few).run()
