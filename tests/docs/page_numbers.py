@@ -198,6 +198,14 @@ def differ(*arms: str, starts: str = "test") -> Interval:
     return find_mean([a - b for a, b in zip(one, other, strict=True)])
 
 
+def count_published() -> int:
+    """Return how many cases of validation have a criterion whose source has a year."""
+    cases = [json.loads(path.read_text("utf-8")) for path in DOCS.glob("validation/*.json")]
+    judged = [[c for c in case["checks"] if c["verdict"] != "recorded"] for case in cases]
+    year = re.compile(r"\b(?:19|20)\d\d\b")
+    return sum(any(year.search(check["source"]) for check in checks) for checks in judged)
+
+
 def list_scored(task: str, policy: str = "discrete_sac") -> list[Row]:
     """Return the benchmark's rows of a policy, or of its trainings."""
     return [row for row in list_rows(task, "test") if row.policy.startswith(policy)]
