@@ -16,6 +16,16 @@ from fishrl.physics.geometry import locate_markers
 MIN_GAP = 1.0
 
 
+def check_number(config: FlowConfig, states: Sequence[BodyState]) -> None:
+    """Raise ValueError unless there are as many bodies as in the configuration."""
+    if len(states) != len(config.bodies):
+        raise ValueError(
+            f"the state has {len(states)} bodies, the config {len(config.bodies)}: give "
+            "FlowConfig(bodies=...) and FlowState(f, bodies) the same number"
+        )
+
+
+@torch.no_grad()
 def check_placement(
     config: FlowConfig, params: Sequence[BodyParams], states: Sequence[BodyState], rows: Tensor
 ) -> None:
@@ -26,6 +36,7 @@ def check_placement(
     """
     if rows.is_cuda and torch.cuda.is_current_stream_capturing():
         return
+    check_number(config, states)
     names = [f"{index} ({type(body).__name__})" for index, body in enumerate(config.bodies)]
     chosen = rows.nonzero()[:, 0]
     params, states = pytree.tree_map(lambda t: t[chosen], (list(params), list(states)))

@@ -20,6 +20,7 @@ from torch.utils.checkpoint import checkpoint
 from fishrl.physics.commands import Commands
 from fishrl.physics.fast.compiled import compile_differentiable
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, make_params
+from fishrl.physics.placement import check_placement
 from fishrl.physics.step import step
 
 Tree = TypeVar("Tree")
@@ -72,8 +73,8 @@ def simulate(
 
     Raises:
         ValueError: for numbers of steps that do not fit together, populations of another type,
-            ``compile`` within a transform of ``torch.func``, and commands as
-            ``InPlaceSolver.command_``, except within such a transform.
+            ``compile`` within a transform of ``torch.func``, and, except within such a transform,
+            places as ``InPlaceSolver.reset_`` and commands as ``InPlaceSolver.command_``.
     """
     unit = config.coarsest_spacing
     interval = unit if interval is None else interval
@@ -92,6 +93,9 @@ def simulate(
     is_transformed = torch._C._functorch.peek_interpreter_stack() is not None
     if compile and is_transformed:
         raise ValueError("compile = True: torch.func cannot see into it; give compile = False")
+    if not is_transformed:
+        every = torch.ones(len(state.f), dtype=torch.bool, device=state.f.device)
+        check_placement(config, params.bodies, state.bodies, every)
     advance_once = _compile_step if compile else step
     if compile:
         with torch.no_grad():  # outside of checkpoints, which count all that a call saves

@@ -59,6 +59,7 @@ from fishrl.physics.boundaries import apply_boundaries_
 from fishrl.physics.collision import Collided, collide_mrt, compute_macroscopic
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, compute_stream_speed, make_params
 from fishrl.physics.levels.grids import Grids, plan_levels
+from fishrl.physics.placement import check_number
 from fishrl.physics.streaming import stream
 
 
@@ -85,11 +86,7 @@ def step(
     Raises:
         ValueError: if the state has more or fewer bodies or patches than ``config``.
     """
-    if len(state.bodies) != len(config.bodies):
-        raise ValueError(
-            f"the state has {len(state.bodies)} bodies, the config {len(config.bodies)}: give "
-            "FlowConfig(bodies=...) and FlowState(f, bodies) the same number"
-        )
+    check_number(config, state.bodies)
     if params is None:
         params = make_params([config] * len(state.f), state.f.device)
     num_patches = len(plan_levels(config)) - 1

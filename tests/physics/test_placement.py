@@ -1,5 +1,7 @@
 """Bodies that lie in each other or beyond the grid are refused, or named as they come to it."""
 
+from collections.abc import Callable
+from functools import partial
 from math import pi
 
 import pytest
@@ -13,13 +15,18 @@ from fishrl.physics import (
     Fish,
     Fixed,
     FlowConfig,
+    FlowState,
     Free,
     ImmersedBoundary,
     InPlaceSolver,
     Skin,
+    simulate,
 )
 from fishrl.physics.bodies.motion import Motion
 from fishrl.physics.cases import PERIODIC
+from fishrl.physics.flow import make_params, make_rest
+from fishrl.physics.levels.grids import make_patches
+from tests.physics.flows import place_body
 
 EVERY = torch.tensor([True, True])
 SKINS = [kind() for kind in Skin.__subclasses__()]
@@ -62,6 +69,33 @@ def test_a_body_that_reaches_beyond_the_grid_is_refused(at: tuple[float, float])
         ValueError, match=r"1: body 0 \(Cylinder\) reaches beyond .* x = 0\.5 to 98"
     ):
         place(solver, at)
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+@pytest.mark.parametrize("skin", SKINS)
+def test_readable_steps_refuse_the_places_that_a_reset_refuses(skin: Skin, levels: int) -> None:
+    """Also too close to an edge for a patch around the body."""
+    flow = FlowConfig(
+        width=129, height=97, tau=0.8, bodies=(Cylinder(diameter=8),), skin=skin, levels=levels
+    )
+    solver, params = InPlaceSolver(config=flow, compile=False), make_params([flow])
+    random, told = torch.Generator().manual_seed(levels), []
+    for place in torch.rand(16, 2, generator=random, dtype=torch.float64) * 160.0 - 20.0:
+        body = place_body(*place.tolist())
+        start = make_patches(FlowState(make_rest(flow, 1), (body,)), flow, params)
+        reset = tell(partial(solver.reset_, torch.tensor([True]), body.position))
+        assert tell(partial(simulate, start, flow, params, num_steps=2)) == reset
+        told.append(reset)
+    assert len(set(told)) == 2
+
+
+def tell(call: Callable[[], object]) -> str:
+    """Return the message with which a call is refused."""
+    try:
+        call()
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def test_refused_start_changes_nothing_and_other_rows_are_ignored() -> None:
