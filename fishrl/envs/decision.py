@@ -68,7 +68,7 @@ class Decision:
         now, sensed, num = self.measure(start), self._sense(start), self.history.num_samples
         self._measured, self._sensors = list(now.keys()), list(sensed.keys())
         now.update(sensed.apply(lambda t: t.unsqueeze(1).expand(-1, num, *t.shape[1:])))
-        return now.update(self.history.begin(now))
+        return now.update(self.history.begin(now)).clone()
 
     def _sense(self, start: TensorDict) -> TensorDict:
         has_series = self.history.num_samples > 0
@@ -213,9 +213,9 @@ class _Rows:
 
 
 def merge(rows: Tensor, new: TensorDict, old: TensorDict) -> TensorDict:
-    """Return the entries of ``old``, with the values of ``new`` in ``rows`` ``[B]``."""
-    if not rows.is_cuda and (rows == rows[0]).all():  # one of them, itself
-        return new.select(*old.keys()) if rows[0] else old
+    """Return copies of the entries of ``old``, with the values of ``new`` in ``rows`` ``[B]``."""
+    if not rows.is_cuda and (rows == rows[0]).all():
+        return (new.select(*old.keys()) if rows[0] else old).clone()
     return old.apply(
         lambda kept, fresh: torch.where(rows.view(-1, *(1,) * (kept.dim() - 1)), fresh, kept),
         new,

@@ -354,7 +354,7 @@ class AbstractTask(Settings, ABC):
 
         Called several times within an action; a row keeps the first measurement that terminates its
         episode, or else the last one. ``solver.body.age`` counts the steps since reset; ``starts``
-        ``[B]`` belong to the episodes. Return copies: the solver's tensors change in place.
+        ``[B]`` belong to the episodes. The environment keeps copies.
         """
 
     def observe(self, now: TensorDictBase) -> Tensor:
