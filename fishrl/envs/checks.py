@@ -1,6 +1,7 @@
 """Checks of what the methods of a task return, so that errors surface early."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -9,9 +10,12 @@ from torch import Tensor
 
 from fishrl.envs.agents import TERM, shape_fish
 from fishrl.envs.command import Command
+from fishrl.envs.extensions import HasScene, find_extension
 from fishrl.envs.sense import count_numbers, read_senses
 from fishrl.envs.task import AbstractTask
+from fishrl.envs.views import make_scene
 from fishrl.physics.bodies.motion import Bending
+from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 NUM_STARTS = 256
@@ -58,6 +62,36 @@ def check_starts_of(task: AbstractTask) -> None:
     task.check_starts(starts)
 
 
+def check_stream(task: AbstractTask, solver: InPlaceSolver) -> None:
+    """Raise ValueError for streams faster than the task says, such as one in L / T."""
+    config, present = solver.config, float(solver.stream_speed.abs().max())
+    fastest = max(config.fastest_edge, replace(config, stream_speed=present).fastest_edge)
+    _require(
+        task,
+        "flow_config",
+        fastest <= task.scales.stream_speed * (1.0 + 1e-6),  # float32
+        f"a stream of {fastest:.3g} nodes per step, {fastest / task.scales.reference_speed:.3g} "
+        "L/T",
+        f"at most max_stream_speed_bl = {task.max_stream_speed_bl:g} L/T; stream_speed is in nodes "
+        "per step: scales.reference_speed times that in L/T",
+    )
+
+
+def check_scene(task: AbstractTask, solver: InPlaceSolver, starts: TensorDictBase) -> None:
+    """Raise ValueError for places to draw of a wrong shape: films follow long after."""
+    places = find_extension(task, HasScene).read_scene(solver, starts)
+    scene = make_scene(task)
+    allowed = {item.key: (3,) for item in scene.curves} | {item.key: (2, 3) for item in scene.marks}
+    single = (*scene.trails, *scene.arrows, *filter(None, [scene.goal]))
+    allowed |= dict.fromkeys((item.key for item in single), (2,))
+    allowed |= {arrow.at: (2,) for arrow in scene.arrows if isinstance(arrow.at, str)}
+    for key in places.keys() & allowed.keys():
+        place, dims = places[key], allowed[key]
+        is_right = place.dim() in dims and (len(place), place.shape[-1]) == (len(starts), 2)
+        shapes = " or ".join("[B, 2]" if dim == 2 else "[B, N, 2]" for dim in dims)
+        _require(task, f"read_scene {key!r}", is_right, place, f"a tensor {shapes}")
+
+
 def check_answers(task: AbstractTask, now: TensorDictBase) -> dict[str, Tensor]:
     """Return the terms of the reward for no change; raise ValueError for a wrong answer of a task.
 
@@ -66,6 +100,9 @@ def check_answers(task: AbstractTask, now: TensorDictBase) -> dict[str, Tensor]:
     rows = tuple(now.shape)
     own = shape_fish(task, rows[0])
     _require(task, "n_obs", task.n_obs > 0, task.n_obs, "senses, or n_obs and observe")
+    is_own = type(task).observe is not AbstractTask.observe
+    got, expected = "an observation besides senses", "one of them; those of a base: senses = ()"
+    _require(task, "observe", not (is_own and task.senses), got, expected)
     observed = check_rows(task, "observe", task.observe(now), (*own, task.n_obs), torch.float32)
     is_finite = bool(observed.isfinite().all())
     _require(task, "observe", is_finite, observed.tolist(), "finite numbers")

@@ -21,7 +21,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import MarlGroupMapType
 
 from fishrl.envs.agents import name_entry
-from fishrl.envs.checks import check_answers, check_starts_of
+from fishrl.envs.checks import check_answers, check_scene, check_starts_of, check_stream
 from fishrl.envs.decision import Decision, merge
 from fishrl.envs.draws import MAX_SEED, draw_uniform
 from fishrl.envs.flows import Flows
@@ -150,7 +150,9 @@ class FlowEnv(EnvBase):
 
     def _make_specs(self) -> None:
         """Derive the specs from the task and a first measurement."""
+        check_stream(self.task, self.solver)
         terms = check_answers(self.task, self.now)
+        check_scene(self.task, self.solver, self.start)
         self._no_terms = {name: torch.zeros_like(term) for name, term in terms.items()}
         observation, action, reward = (
             spec.to(self.device) for spec in make_specs(self.task, self.now)
@@ -236,8 +238,11 @@ class FlowEnv(EnvBase):
         rows = diverged.nonzero().squeeze(-1).tolist()
         self.num_diverged += len(rows)
         meet = " (bodies overlap)" if (diverged & self.solver.overlaps).any() else ""
+        several = len(self.solver.config.refined) > 1
         logger.warning(
-            "flows %s diverged%s and were truncated; %d so far", rows, meet, self.num_diverged
+            "flows %s diverged%s and were truncated; %d so far%s",
+            *(rows, meet, self.num_diverged),
+            "; bodies whose patches meet need one for both, see list_patches" * several,
         )
 
     def _read_inputs(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
