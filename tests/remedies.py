@@ -26,6 +26,7 @@ from fishrl.physics import (
     Fish,
     FlowConfig,
     FlowState,
+    Foil,
     Free,
     Gait,
     ImmersedBoundary,
@@ -201,6 +202,7 @@ FLOWS: list[tuple[Any, ...]] = [
     (partial(Cylinder, diameter=20), "motion", Bending(), Commanded()),
     (lambda motion: Cylinder(diameter=40, motion=motion), spin(0.02), spin(0.01)),
     (Driven, "velocity", (0.3, 0.3), (0.2, 0.2)),
+    (lambda Foil: Foil(chord=20), partial(Foil, thickness=0.04), Foil),
 ]
 
 

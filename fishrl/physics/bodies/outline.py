@@ -22,6 +22,8 @@ from fishrl.physics.bodies.shear import ShearParams
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 from fishrl.settings import Settings
 
+#: Least extents of a body along its longer and its shorter axis, nodes.
+LEAST_SIZE, LEAST_WIDTH = 8, 1
 _STATIONS = 20001  # quadrature and arc-length stations along the body; set-up cost only
 
 Points = NDArray[np.float64]
@@ -69,6 +71,12 @@ class BodyConfig(Settings, ABC):
             raise ValueError(
                 "motion = Bending(): a command bends only a Fish without keeps_length and strokes, "
                 f"not this {type(self).__name__}; take Commanded() or Free()"
+            )
+        across, along = sorted(self._extents)
+        if along < LEAST_SIZE or across < LEAST_WIDTH:
+            raise ValueError(
+                f"{type(self).__name__} of {self._extents[0]:.3g} x {self._extents[1]:.3g} nodes: "
+                f"give it at least {LEAST_SIZE} along one axis and {LEAST_WIDTH} along the other"
             )
         self.check_speed(0.0)
         if self.num_markers == 0 and self.marker_spacing is not None:
@@ -154,10 +162,15 @@ class BodyConfig(Settings, ABC):
         return float(self._moments[1][0] - self._pieces[0][0, 0])
 
     @cached_property
+    def _extents(self) -> list[float]:
+        """Extents (x, y), nodes."""
+        extents: list[float] = np.ptp(np.concatenate(self._pieces), axis=0).tolist()
+        return extents
+
+    @property
     def size(self) -> float:
         """Largest extent along an axis, nodes."""
-        points = np.concatenate(self._pieces)
-        return float(np.ptp(points, axis=0).max())
+        return max(self._extents)
 
     def _place_markers(self) -> tuple[Points, Points]:
         """Return markers ``[N, 2]`` and the length of outline that each represents, ``[N]``.

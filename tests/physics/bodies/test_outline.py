@@ -1,6 +1,7 @@
 """Outlines: areas, moments, markers; and what moves bodies."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -141,3 +142,17 @@ def test_outline_that_runs_counter_clockwise_is_refused() -> None:
     assert BounceBack().fit(Square(side=20.0, is_clockwise=True)).area == pytest.approx(400.0)
     with pytest.raises(ValueError, match=r"Square.draw\(\) runs counter-clockwise"):
         BounceBack().fit(Square(side=20.0, is_clockwise=False))
+
+
+@pytest.mark.parametrize("make", [
+    lambda size: Fish(body_length=40, thickness=size / 40),
+    lambda size: Foil(chord=10, thickness=size / 10),
+    lambda size: Square(side=8 * size, is_clockwise=True),
+])  # fmt: skip
+def test_body_thinner_or_smaller_than_the_grid_resolves_is_refused(
+    make: Callable[[float], BodyConfig],
+) -> None:
+    make(1.1)
+    for size in (0.95, 0.5, 0.01):
+        with pytest.raises(ValueError, match=r"x .* nodes: give it at least 8 along one axis and"):
+            make(size)
