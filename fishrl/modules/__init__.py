@@ -5,7 +5,6 @@ from fishrl.modules.actors import (
     make_continuous_actor,
     make_mlp,
     make_state_critic,
-    make_twin_action_critics,
     make_twin_critics,
 )
 from fishrl.modules.controllers import InterceptPolicy, PursuitPolicy, RandomPolicy
@@ -37,7 +36,6 @@ __all__ = [
     "make_mlp",
     "make_recurrent_value_actor",
     "make_state_critic",
-    "make_twin_action_critics",
     "make_twin_critics",
     "make_value_actor",
 ]

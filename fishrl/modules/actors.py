@@ -94,6 +94,7 @@ def make_twin_critics(
     num_actions: int,
     hidden: Sequence[int] = (256, 256),
     keys: Sequence[str] = ("observation_stack",),
+    reads_action: bool = False,
     is_normed: bool = False,
     generator: torch.Generator | None = None,
 ) -> list[TensorDictModule]:
@@ -101,13 +102,17 @@ def make_twin_critics(
 
     Each reads ``keys``, with ``num_inputs`` numbers in all, and writes ``action_value``
     ``[..., num_actions]``, also of illegal actions, to which the policy gives probability 0. With
-    ``is_normed`` they have layer normalisation. Other arguments are those of ``make_actor``. The
-    result is a list because TorchRL's loss resamples the weights of a single critic that it
-    duplicates.
+    ``reads_action`` each also reads the continuous ``action`` ``[..., num_actions]``, and writes
+    ``state_action_value`` ``[..., 1]``. With ``is_normed`` they have layer normalisation. Other
+    arguments are those of ``make_actor``. The result is a list because TorchRL's loss resamples the
+    weights of a single critic that it duplicates.
     """
-    widths = [num_inputs, *hidden, num_actions]
+    widths, written = [num_inputs, *hidden, num_actions], "action_value"
+    if reads_action:
+        widths, written = [num_inputs + num_actions, *hidden, 1], "state_action_value"
+        keys = [*keys, "action"]
     networks = (make_mlp(widths, is_normed=is_normed, generator=generator) for _ in range(2))
-    return [_read(keys, network, "action_value") for network in networks]
+    return [_read(keys, network, written) for network in networks]
 
 
 def make_continuous_actor(
@@ -139,25 +144,6 @@ def make_continuous_actor(
         default_interaction_type=InteractionType.RANDOM,
         return_log_prob=return_log_prob,
     )
-
-
-def make_twin_action_critics(
-    *,
-    num_inputs: int,
-    num_actions: int,
-    hidden: Sequence[int] = (256, 256),
-    keys: Sequence[str] = ("observation_stack",),
-    generator: torch.Generator | None = None,
-) -> list[TensorDictModule]:
-    """Build two independent critics of continuous actions, see ``make_twin_critics``.
-
-    Each reads ``keys`` and ``action``, and writes ``state_action_value`` ``[..., 1]``.
-    Layer normalisation bounds the values of actions outside the data, which otherwise diverge with
-    several gradient steps per transition (Ball et al. 2023, arXiv 2302.02948).
-    """
-    widths = [num_inputs + num_actions, *hidden, 1]
-    networks = (make_mlp(widths, is_normed=True, generator=generator) for _ in range(2))
-    return [_read([*keys, "action"], network, "state_action_value") for network in networks]
 
 
 def make_state_critic(

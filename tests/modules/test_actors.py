@@ -15,7 +15,6 @@ from fishrl.modules import (
     make_actor,
     make_continuous_actor,
     make_recurrent_value_actor,
-    make_twin_action_critics,
     make_twin_critics,
     make_value_actor,
 )
@@ -59,8 +58,8 @@ def test_continuous_actions_are_bounded_and_deterministic_on_request() -> None:
 
 def test_twin_critics_differ_and_stay_bounded_in_far_states() -> None:
     td, other = (states(10).set("action", torch.full((10, 2), value)) for value in (0.0, 1.0))
-    per_action = make_twin_critics(num_inputs=16, num_actions=3, hidden=(32,))
-    twins = make_twin_action_critics(num_inputs=16, num_actions=2, hidden=(32,))
+    make = partial(make_twin_critics, num_inputs=16, hidden=(32,))
+    per_action, twins = make(num_actions=3), make(num_actions=2, reads_action=True, is_normed=True)
     for critics, key, width in ((per_action, "action_value", 3), (twins, "state_action_value", 1)):
         values = [critic(td.clone())[key] for critic in critics]
         assert values[0].shape == (10, width)

@@ -7,7 +7,7 @@ from pydantic import Field
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import SACLoss
 
-from fishrl.modules import make_continuous_actor, make_twin_action_critics
+from fishrl.modules import make_continuous_actor, make_twin_critics
 from fishrl.training.algorithms.algorithm import Algorithm
 from fishrl.training.policy_spec import PolicySpec
 
@@ -41,9 +41,15 @@ class SAC(Algorithm):
     def make_loss(
         self, policy: ProbabilisticActor, spec: PolicySpec, generator: torch.Generator
     ) -> SACLoss:
-        """Make the loss with twin critics."""
+        """Make the loss with twin critics.
+
+        Layer normalisation bounds the values of actions outside the data, which otherwise diverge
+        with several gradient steps per transition (Ball et al. 2023, arXiv 2302.02948).
+        """
         device = next(policy.parameters()).device
-        critics = make_twin_action_critics(**spec.critic_sizes, generator=generator)
+        critics = make_twin_critics(
+            **spec.critic_sizes, reads_action=True, is_normed=True, generator=generator
+        )
         return SACLoss(
             policy,
             [critic.to(device) for critic in critics],  # a single one would be drawn again
