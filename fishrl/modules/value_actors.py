@@ -7,7 +7,6 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
-from torchrl.envs import TensorDictPrimer
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import EGreedyModule, LSTMModule, QValueModule
 
@@ -88,7 +87,7 @@ class RecurrentPolicy(TensorDictModuleBase):
 
     ``is_init`` resets the state of a row, a new batch size the state of all rows. To collect
     transitions for a replay buffer, use ``network`` in an environment with the transform of
-    ``make_primer``, which stores the state with the observation.
+    ``torchrl.modules.get_primers_from_module``, which stores the state with the observation.
 
     Args:
         network: see ``make_recurrent_value_actor``.
@@ -111,11 +110,6 @@ class RecurrentPolicy(TensorDictModuleBase):
         after = self.network(seen)
         self._memory = {key: after["next", key].detach() for key in MEMORY}
         return tensordict.set("action", after["action"])
-
-    def make_primer(self) -> TensorDictPrimer:
-        """Return the transform that adds the LSTM state to the data of an environment."""
-        lstm = next(part for part in self.network.modules() if isinstance(part, LSTMModule))
-        return lstm.make_tensordict_primer()
 
 
 class EpsilonGreedy(EGreedyModule):

@@ -1,11 +1,12 @@
 """DRQN: DQN with an LSTM in place of the observation stack."""
 
-from typing import Any, cast
+from typing import Any
 
 import torch
 from pydantic import PositiveInt
 from tensordict.nn import TensorDictSequential
 from torchrl.data import SliceSampler
+from torchrl.modules import get_primers_from_module
 
 from fishrl.modules import RecurrentPolicy, make_recurrent_value_actor
 from fishrl.objectives import RecurrentDQNLoss
@@ -83,6 +84,6 @@ class DRQN(DQN):
             init_key=None,
             truncated_key=None,
         )
-        primer = cast(RecurrentPolicy, networks.actor).make_primer()
+        primer = get_primers_from_module(networks.actor)
         parts = networks._replace(transforms=(primer,), sampler=sampler, keys=(TRAJECTORY, STEP))
         return OffPolicyLearner(parts, settings)
