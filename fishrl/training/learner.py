@@ -3,7 +3,6 @@
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import torch
@@ -16,8 +15,8 @@ from torchrl.envs import Transform
 from torchrl.objectives import LossModule, SoftUpdate
 
 from fishrl.envs.agents import EachFish
-from fishrl.envs.mirror import Mirror
 from fishrl.training.averaging import WeightAverage
+from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.reflection import Reflection
 from fishrl.training.scaling import Folding, InputScale, ScaledPolicy
 from fishrl.training.settings import LearningSettings
@@ -37,15 +36,12 @@ class Networks(NamedTuple):
     explorer: TensorDictModuleBase
     #: the sum of its outputs ``loss_...`` is minimised; all are logged as ``train/<name>``
     loss: LossModule
+    spec: PolicySpec  #: sizes, entries and mirror image of the task
     transforms: Sequence[Transform] = ()  #: that the explorer needs in its environment
     sampler: Sampler | None = None  #: draws batches from the buffer; by default uniformly
     #: entries of a transition to store in addition to those that the loss reads
     keys: Sequence[Any] = ()
-    #: entries of observations, see ``PolicySpec.stacks``
-    stacks: Mapping[str, tuple[int, int]] = MappingProxyType({})
-    mirror: Mirror | None = None  #: of the task, if transitions are to be reflected
     is_traced: bool = False  #: see ``Algorithm``
-    num_fish: int = 1  #: fish in a flow; the buffer holds the decisions of each
 
 
 class Learner(ABC):
@@ -67,7 +63,10 @@ class Learner(ABC):
         self.first_frames = settings.warmup_frames + 1
         self.transforms, self._is_traced = networks.transforms, networks.is_traced
         self.reports = tuple(self.loss.out_keys)
-        self._keys = list(dict.fromkeys([*self.loss.in_keys, *networks.keys]))
+        spec, keys = networks.spec, [*self.loss.in_keys, *networks.keys]
+        if spec.num_critic_inputs:  # TorchRL's losses do not list it
+            keys.append(("next", "critic_stack"))
+        self._keys = list(dict.fromkeys(keys))
         if not any(name.startswith("loss_") for name in self.reports):
             raise ValueError(
                 f"{type(self.loss).__name__} has the outputs {list(self.reports)}: the sum of "
@@ -79,7 +78,7 @@ class Learner(ABC):
                 "an explorer must write an 'action'"
             )
         device = next(self.actor.parameters()).device
-        used = {key: networks.stacks[key] for key in self._keys if key in networks.stacks}
+        used = {key: spec.stacks[key] for key in self._keys if key in spec.stacks}
         self._scale: InputScale | None = None
         if settings.scale_inputs:
             self._scale = InputScale(used).to(device)
@@ -88,14 +87,14 @@ class Learner(ABC):
         self._initial: Folding | None = None
         if settings.initial_policy is not None and self._scale is not None:
             self._initial = Folding(self.actor, self._scale)
-        if networks.num_fish > 1:
+        if spec.num_fish > 1:
             self.explorer = EachFish(self.explorer, self.explorer.out_keys)
         self._reflection: Reflection | None = None
-        if networks.mirror is not None:
-            self._reflection = Reflection(networks.mirror, used).to(device)
+        if spec.mirror is not None:
+            self._reflection = Reflection(spec.mirror, used).to(device)
         self._average: WeightAverage | None = None
         if settings.actor_average or self._scale is not None:
-            horizon = settings.actor_average * settings.updates_per_frame * networks.num_fish
+            horizon = settings.actor_average * settings.updates_per_frame * spec.num_fish
             self._average = WeightAverage(self.actor, horizon=horizon, scale=self._scale)
             self.actor = self._average.policy
         self._rests = False
@@ -112,7 +111,7 @@ class Learner(ABC):
         # A checkpoint replaces the tensors of the optimiser, which a traced step has kept.
         self.optimiser.register_load_state_dict_post_hook(self._renew_step)
         self.buffer = TensorDictReplayBuffer(
-            storage=_ZeroedStorage(settings.buffer_size * networks.num_fish, device=device),
+            storage=_ZeroedStorage(settings.buffer_size * spec.num_fish, device=device),
             sampler=networks.sampler,
             batch_size=settings.batch_size,
             prefetch=0,  # threads would draw batches in an order that no seed fixes

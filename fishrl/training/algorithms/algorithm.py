@@ -124,17 +124,7 @@ class Algorithm(Settings, ABC):
             initial.load({"actor": policy}, spec=spec, device=device)
         loss = self.make_loss(policy, spec, generator)
         explorer = self.make_explorer(policy, spec)
-        networks = Networks(
-            policy,
-            explorer,
-            loss,
-            # TorchRL's losses do not list it
-            keys=[("next", "critic_stack")] if spec.num_critic_inputs else [],
-            stacks=spec.stacks,
-            mirror=spec.mirror,
-            is_traced=self.is_traced,
-            num_fish=spec.num_fish,
-        )
+        networks = Networks(policy, explorer, loss, spec, is_traced=self.is_traced)
         return self.assemble(networks, settings)
 
 
