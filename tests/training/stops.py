@@ -38,8 +38,8 @@ import json, os, signal, sys
 from pathlib import Path
 from fishrl.training import Callback, Training, complete, open_run, opening
 from tests.training.conftest import QUICK, make_toy_plan
-from tests.training.toy_fish import ToyFishEnv, make_toy_env
-opening.make_env = make_toy_env
+from tests.training.toy_fish import ToyFishEnv, make_any_env
+opening.make_env = make_any_env
 step, num_steps = ToyFishEnv._step, [0]
 def step_or_end(self, td):
     num_steps[0] += self.starts is None  # not of evaluations

@@ -11,19 +11,12 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
-from torchrl.envs import (
-    ActionMask,
-    CatFrames,
-    EnvBase,
-    InitTracker,
-    RewardSum,
-    StepCounter,
-    TransformedEnv,
-)
+from torchrl.envs import EnvBase, TransformedEnv
 
 from fishrl.envs import AbstractTask, Flows, Predation, make_env
 from fishrl.envs.control import Turn
@@ -89,7 +82,8 @@ class ToyFishEnv(EnvBase):
 
     starts: TensorDict | None = None
 
-    def __init__(self, *, task: ToyPredation, num_envs: int, seed: int) -> None:
+    def __init__(self, *, task: ToyPredation, flows: Flows, seed: int, **_: Any) -> None:
+        num_envs = flows.num_envs
         super().__init__(device="cpu", batch_size=[num_envs])
         self.task = task
         self.rng = torch.Generator().manual_seed(seed)
@@ -219,28 +213,9 @@ class ToyFishEnv(EnvBase):
         )
 
 
-def make_toy_env(*, task: ToyPredation, flows: Flows, seed: int, **_: Any) -> TransformedEnv:
-    """Stand in for ``fishrl.envs.making.make_env``."""
-    env = TransformedEnv(ToyFishEnv(task=task, num_envs=flows.num_envs, seed=seed))
-    for transform in (
-        InitTracker(),
-        StepCounter(max_steps=task.time_limit),
-        RewardSum(),
-        CatFrames(
-            N=task.num_stacked, dim=-1, in_keys=["observation"], out_keys=["observation_stack"]
-        ),
-        *(
-            [CatFrames(N=2, dim=-1, in_keys=["critic_observation"], out_keys=["critic_stack"])]
-            if task.critic_senses
-            else []
-        ),
-        *([] if task.is_continuous else [ActionMask()]),
-    ):
-        env.append_transform(transform)
-    return env
-
-
 def make_any_env(*, task: Any, **given: Any) -> TransformedEnv:
-    """Make flows of a task, also of the point fish."""
-    make = make_toy_env if isinstance(task, ToyPredation) else make_env
-    return make(task=task, **given)
+    """Make flows of a task, also of the point fish, in whichever process."""
+    with pytest.MonkeyPatch.context() as patch:
+        if isinstance(task, ToyPredation):
+            patch.setattr("fishrl.envs.making.FlowEnv", ToyFishEnv)
+        return make_env(task=task, **given)
