@@ -157,6 +157,7 @@ FLOWS: list[tuple[Any, ...]] = [
     (partial(solver, config=[SMALLEST] * 2), "num_envs", 3, 2),
     (lambda batch: solver(config=batch), (flow(), flow(rates=Rates(energy=1.0))), (flow(),) * 2),
     (turn_by, 0.1, torch.tensor([0.1])),
+    (lambda points: solver().sample(points), (0.0, 0.0), torch.zeros(1, 1, 2)),
     (turn_by, torch.ones(3), ONE),
     (turn_by, ONE * math.nan, ONE),
     (lambda speed: solver().set_stream_speed_(speed, num_steps=2), ONE.expand(2), 0.1 * ONE),

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fishrl.benchmark.versions import FOLDER, find_version
+from fishrl.settings import checked
 from fishrl.training.run_folder import Count, Stored, read_plain
 
 RANDOM = "random"
@@ -39,6 +40,7 @@ class Row(Stored):
         return ", ".join(filter(None, (self.recognition, other)))
 
 
+@checked
 def read_row(path: Path) -> Row:
     """Read a row and compare it with its version.
 
@@ -53,6 +55,7 @@ def read_row(path: Path) -> Row:
     return row
 
 
+@checked
 def list_rows(task: str, split: str) -> list[Row]:
     """Return the stored rows of a split, those of random actions and controller, too."""
 
@@ -82,6 +85,7 @@ def find_ends(rows: Sequence[Row]) -> tuple[float, float] | None:
     return low.value, high.value
 
 
+@checked
 def rank(rows: Sequence[Row]) -> list[tuple[Row, tuple[float, float, float] | None]]:
     """Return rows from the best to the worst, each with its score and the score's interval.
 
@@ -99,6 +103,7 @@ def rank(rows: Sequence[Row]) -> list[tuple[Row, tuple[float, float, float] | No
     return [(row, scale(row)) for row in sorted(rows, key=lambda row: -row.value)]
 
 
+@checked
 def show_table(rows: Sequence[Row], *, mark: Row | None = None) -> list[str]:
     """Return the lines of the table; ``mark`` is pointed at."""
     cells = [("  policy", "value [95 %]", "score [95 %]", "decisions", "trained with")]

@@ -18,7 +18,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl.envs import AbstractTask, make_task
-from fishrl.settings import describe, flatten, unknown
+from fishrl.settings import checked, describe, flatten, unknown
 
 FOLDER = Path(__file__).parent
 #: Splits, and how many starts each has.
@@ -81,6 +81,7 @@ def list_versions() -> list[str]:
     return sorted(_read_versions())
 
 
+@checked
 def find_version(name: str) -> Version:
     """Return a frozen task; ValueError for an unknown name, with the nearest one."""
     if name not in (known := _read_versions()):
@@ -88,6 +89,7 @@ def find_version(name: str) -> Version:
     return Version(name=name, **known[name])
 
 
+@checked
 def identify(task: AbstractTask) -> Version:
     """Return the version of a task, which may differ from it in what is ``FREE``.
 
@@ -108,6 +110,7 @@ def identify(task: AbstractTask) -> Version:
     )
 
 
+@checked
 def compare(task: AbstractTask, frozen: AbstractTask) -> list[str]:
     """Return the dotted keys of settings in which two tasks differ, but for those ``FREE``."""
     own, other = (flatten(describe(each)) for each in (task, frozen))

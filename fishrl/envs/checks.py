@@ -82,8 +82,9 @@ def check_scene(task: AbstractTask, solver: InPlaceSolver, starts: TensorDictBas
     places = find_extension(task, HasScene).read_scene(solver, starts)
     scene = make_scene(task)
     allowed = {item.key: (3,) for item in scene.curves} | {item.key: (2, 3) for item in scene.marks}
-    single = (*scene.trails, *scene.arrows, *filter(None, [scene.goal]))
-    allowed |= dict.fromkeys((item.key for item in single), (2,))
+    goal = [] if scene.goal is None else [scene.goal.key]
+    single = [item.key for item in scene.trails] + [item.key for item in scene.arrows]
+    allowed |= dict.fromkeys(single + goal, (2,))
     allowed |= {arrow.at: (2,) for arrow in scene.arrows if isinstance(arrow.at, str)}
     for key in places.keys() & allowed.keys():
         place, dims = places[key], allowed[key]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import torch
+from pydantic import PositiveInt
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase, TransformedEnv
@@ -15,6 +16,7 @@ from fishrl.envs.agents import TERM, EachFish, average_fish
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.task import AbstractTask
 from fishrl.envs.traces import Traces
+from fishrl.settings import checked
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 #: Named values ``[B, ...]`` to record, or nothing.
@@ -61,12 +63,13 @@ class Episodes:
         }
 
 
+@checked
 def run_episodes(
     env: TransformedEnv,
     policy: Policy,
     starts: TensorDictBase,
     *,
-    max_decisions: int | None = None,
+    max_decisions: PositiveInt | None = None,
     on_begin: Callable[[Tensor, TensorDictBase], Values] | None = None,
     on_step: Callable[[Tensor, TensorDictBase], Values] | None = None,
     on_frame: Callable[[Tensor, FlowEnv], Values] | None = None,

@@ -21,7 +21,7 @@ from fishrl.envs.flows import Flows
 from fishrl.envs.recognition import Recognition
 from fishrl.envs.task import AbstractTask
 from fishrl.presets import merge, read_task
-from fishrl.settings import build
+from fishrl.settings import build, checked
 from fishrl.torch_state import in_own_state
 
 
@@ -60,6 +60,7 @@ def make_task(name: str, **changes: Any) -> AbstractTask:
     return build(AbstractTask, merge(read_task(name), changes, replaces=True))
 
 
+@checked
 @in_own_state
 def make_env(
     *,

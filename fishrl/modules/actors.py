@@ -10,11 +10,14 @@ from torch import Tensor, nn
 from torchrl.data import Bounded, Categorical
 from torchrl.modules import MaskedCategorical, NormalParamExtractor, ProbabilisticActor, TanhNormal
 
+from fishrl.settings import checked
+
 #: Logit of illegal actions. exp(-1e9) is exactly 0 in float32 and bfloat16, and the logit stays
 #: finite in the loss, where an infinite one would give 0 * inf.
 ILLEGAL_LOGIT = -1e9
 
 
+@checked
 def make_mlp(
     widths: Sequence[int], *, is_normed: bool = False, generator: torch.Generator | None = None
 ) -> nn.Sequential:
@@ -40,6 +43,7 @@ def make_mlp(
     return nn.Sequential(*layers[: layers.index(linear) + 1])
 
 
+@checked
 def make_actor(
     *,
     num_inputs: int,
@@ -88,6 +92,7 @@ def _read(keys: Sequence[str], network: nn.Module, written: str) -> TensorDictMo
     return TensorDictModule(network, in_keys=list(keys), out_keys=[written])
 
 
+@checked
 def make_twin_critics(
     *,
     num_inputs: int,
@@ -115,6 +120,7 @@ def make_twin_critics(
     return [_read(keys, network, written) for network in networks]
 
 
+@checked
 def make_continuous_actor(
     *,
     num_inputs: int,
@@ -146,6 +152,7 @@ def make_continuous_actor(
     )
 
 
+@checked
 def make_state_critic(
     *,
     num_inputs: int,

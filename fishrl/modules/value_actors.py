@@ -11,11 +11,13 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import EGreedyModule, LSTMModule, QValueModule
 
 from fishrl.modules.actors import make_mlp
+from fishrl.settings import checked
 
 #: Keys of the LSTM state; the network writes the new state under ``("next", key)``.
 MEMORY = ("recurrent_state_h", "recurrent_state_c")
 
 
+@checked
 def make_value_actor(
     *,
     num_inputs: int,
@@ -36,6 +38,7 @@ def make_value_actor(
     )
 
 
+@checked
 def make_recurrent_value_actor(
     *,
     num_inputs: int,

@@ -15,7 +15,7 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from fishrl.settings import Settings
+from fishrl.settings import Settings, checked
 
 
 class FitSettings(Settings):
@@ -66,6 +66,7 @@ class Score:
     confusion: Tensor
 
 
+@checked
 def split_episodes(
     episode: Tensor, label: Tensor, *, shares: Sequence[float], generator: torch.Generator
 ) -> list[Tensor]:
@@ -106,6 +107,7 @@ def split_episodes(
     return parts
 
 
+@checked
 def fit_classifier(
     classifier: nn.Module,
     *,
@@ -185,6 +187,7 @@ def _fit_epoch(
     return float(loss_sum) / len(labels), float(num_right) / len(labels)
 
 
+@checked
 @torch.no_grad()
 def score_classifier(classifier: nn.Module, data: TensorDictBase) -> Score:
     """Score a classifier on ``data`` (see ``fit_classifier``) and leave it in ``eval`` mode."""

@@ -5,9 +5,13 @@ from math import pi
 from typing import NamedTuple
 
 import torch
+from pydantic import PositiveFloat
 from torch import Tensor
 
+from fishrl.settings import checked
 
+
+@checked
 def compute_vorticity(u: Tensor, *, is_water: Tensor | None = None) -> Tensor:
     """Return dv/dx - du/dy ``[B, Y, X]`` per step of a velocity ``[B, 2, Y, X]``.
 
@@ -35,7 +39,10 @@ def compute_pressure(rho: Tensor) -> Tensor:
     return (rho - 1.0) / 3.0
 
 
-def compute_coefficient(force: Tensor, *, length: float, speed: float, rho: float = 1.0) -> Tensor:
+@checked
+def compute_coefficient(
+    force: Tensor, *, length: PositiveFloat, speed: PositiveFloat, rho: PositiveFloat = 1.0
+) -> Tensor:
     """Return 2 F / (rho U^2 D): drag or lift coefficient of a force per unit depth.
 
     Args:
@@ -93,7 +100,10 @@ def _measure_noise(signal: Tensor) -> Tensor:
     return signal.diff(n=3).square().mean().div(20.0).sqrt() / signal.std()
 
 
-def measure_cycles(signal: Tensor, interval: float, *, clock: Tensor | None = None) -> Cycles:
+@checked
+def measure_cycles(
+    signal: Tensor, interval: PositiveFloat, *, clock: Tensor | None = None
+) -> Cycles:
     """Measure a periodic signal over its whole periods.
 
     A period runs from one upward crossing of the clock's mean to the next. The mean, too, is taken
@@ -136,7 +146,10 @@ def measure_cycles(signal: Tensor, interval: float, *, clock: Tensor | None = No
     )
 
 
-def compute_strouhal(lift: Tensor, interval: float, *, length: float, speed: float) -> float:
+@checked
+def compute_strouhal(
+    lift: Tensor, interval: PositiveFloat, *, length: PositiveFloat, speed: PositiveFloat
+) -> float:
     """Return f D / U from the zero crossings of the lift.
 
     Args:
@@ -151,7 +164,8 @@ def compute_strouhal(lift: Tensor, interval: float, *, length: float, speed: flo
     return measure_cycles(lift, interval).frequency * length / speed
 
 
-def compute_spectral_frequency(signal: Tensor, interval: float) -> float:
+@checked
+def compute_spectral_frequency(signal: Tensor, interval: PositiveFloat) -> float:
     """Return the frequency of the strongest line of a signal's spectrum.
 
     Hann window; between bins, the frequency is interpolated by a parabola through the logarithm of

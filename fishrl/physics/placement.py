@@ -65,9 +65,6 @@ def spread_starts(
 ) -> tuple[Tensor, Tensor]:
     """Return positions ``[B, M, 2]`` and headings ``[B, M]`` of all bodies, float64."""
     shape = num_envs, max(1, len(config.bodies))
-    for name, value, wanted in (("position", position, (*shape, 2)), ("heading", heading, shape)):
-        if not isinstance(value, Tensor | None):
-            raise ValueError(f"{name} = {value!r}: give a tensor of shape {wanted}")
     middle = torch.tensor([0.5 * config.width, 0.5 * config.height]).expand(*shape, 2)
     position = middle if position is None else position
     heading = torch.zeros(shape) if heading is None else heading

@@ -13,29 +13,35 @@ from math import inf, sqrt
 from typing import TypeVar
 
 import torch
+from pydantic import PositiveInt
 from torch import Tensor
 from torch.utils import _pytree as pytree
 from torch.utils.checkpoint import checkpoint
 
 from fishrl.physics.commands import Commands
+from fishrl.physics.fast.checks import check_tensor
 from fishrl.physics.fast.compiled import compile_differentiable
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, make_params
+from fishrl.physics.lattice import Q
 from fishrl.physics.placement import check_placement
 from fishrl.physics.step import step
+from fishrl.physics.units import check_tau
+from fishrl.settings import checked
 
 Tree = TypeVar("Tree")
 
 
+@checked
 def simulate(
     state: FlowState,
     config: FlowConfig,
     params: FlowParams | None = None,
     *,
-    num_steps: int,
-    interval: int | None = None,
+    num_steps: PositiveInt,
+    interval: PositiveInt | None = None,
     control: Callable[[int, FlowState], FlowState] | None = None,
     record: Callable[[FlowState], Tree] | None = None,
-    segment: int | None = None,
+    segment: PositiveInt | None = None,
     compile: bool = False,
 ) -> tuple[FlowState, Tree | None]:
     """Advance a batch of flows by many readable steps, differentiably.
@@ -78,7 +84,7 @@ def simulate(
     """
     unit = config.coarsest_spacing
     interval = unit if interval is None else interval
-    if interval < 1 or num_steps < interval or num_steps % interval or interval % unit:
+    if num_steps % interval or interval % unit:
         raise ValueError(
             f"num_steps = {num_steps}, interval = {interval}: num_steps must be a positive multiple"
             f" of interval, and that of {unit}, the steps of the coarsest level"
@@ -94,6 +100,10 @@ def simulate(
     if compile and is_transformed:
         raise ValueError("compile = True: torch.func cannot see into it; give compile = False")
     if not is_transformed:
+        width, height = config.coarsest_size
+        check_tensor("f", state.f, (None, Q, height, width))
+        for tau in params.tau.aminmax():
+            check_tau(float(tau))
         every = torch.ones(len(state.f), dtype=torch.bool, device=state.f.device)
         check_placement(config, params.bodies, state.bodies, every)
     advance_once = _compile_step if compile else step

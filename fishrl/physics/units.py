@@ -7,10 +7,10 @@ nu = L^2 / (Re T), tau = 3 nu + 1/2.
 
 from typing import Annotated
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from fishrl.physics.bodies.gait import CARLING, Gait
-from fishrl.settings import Settings
+from fishrl.settings import Settings, checked
 
 # Validated range. Below MIN_TAU the collision is no longer stable for vortices shed in a turn;
 # above MAX_TAU the boundary's slip grows. Walls move well below the speed of sound, 0.577.
@@ -37,7 +37,8 @@ def check_tau(tau: float, *, given: tuple[str, str, str] | None = None) -> None:
         )
 
 
-def compute_tau(*, length: float, speed: float, reynolds: float) -> float:
+@checked
+def compute_tau(*, length: PositiveFloat, speed: PositiveFloat, reynolds: PositiveFloat) -> float:
     """Return the relaxation time of a flow around a body.
 
     Args:
@@ -48,10 +49,6 @@ def compute_tau(*, length: float, speed: float, reynolds: float) -> float:
     Raises:
         ValueError: if one is not positive, or the result lies outside the validated range.
     """
-    if min(length, speed, reynolds) <= 0.0:
-        raise ValueError(
-            f"length, speed, reynolds = {length}, {speed}, {reynolds}: must be positive"
-        )
     tau = 3.0 * speed * length / reynolds + 0.5
     check_tau(tau, given=("length", "speed", "reynolds"))
     return tau
@@ -88,16 +85,17 @@ class Scales(Settings):
         check_tau(self.tau, given=("body_length", "max_wall_speed", "reynolds"))
 
     @classmethod
+    @checked
     def from_budget(
         cls,
         *,
-        body_length: int,
-        reynolds: float,
-        max_wall_speed: float = DEFAULT_WALL_SPEED,
+        body_length: PositiveInt,
+        reynolds: PositiveFloat,
+        max_wall_speed: PositiveFloat = DEFAULT_WALL_SPEED,
         gait: Gait = CARLING,
-        max_frequency: float = 1.0,
-        stream_speed_bl: float = 0.0,
-        multiple: int = 2,
+        max_frequency: PositiveFloat = 1.0,
+        stream_speed_bl: NonNegativeFloat = 0.0,
+        multiple: PositiveInt = 2,
     ) -> "Scales":
         """Choose the shortest even period that keeps tail and stream within ``max_wall_speed``.
 

@@ -17,6 +17,7 @@ from fishrl.settings.base import (
     FieldErrors,
     Role,
     Settings,
+    checked,
     find_role,
     list_fields,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "Role",
     "Settings",
     "build",
+    "checked",
     "describe",
     "find_class",
     "find_main",

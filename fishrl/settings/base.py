@@ -2,13 +2,14 @@
 
 import inspect
 import math
+import types
 import typing
 from collections import ChainMap
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, field
 from enum import Enum
-from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple, dataclass_transform
+from functools import cache, wraps
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar, dataclass_transform
 
 import numpy as np
 import pydantic
@@ -18,6 +19,8 @@ from pydantic_core import ArgsKwargs, PydanticUndefined, core_schema
 
 from fishrl.settings.messages import explain
 
+P = ParamSpec("P")
+R = TypeVar("R")
 #: Default of a field that must be given.
 REQUIRED: Any = inspect.Parameter.empty
 
@@ -202,9 +205,49 @@ def find_schema(
     function = inspect.getattr_static(called, "__init__") if isinstance(called, type) else called
     hints = typing.get_type_hints(function, include_extras=True)
     given = inspect.signature(called).parameters.values()
-    fields = [p for p in given if p.kind is not p.VAR_KEYWORD and p.name not in without]
+    open_ended = inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD
+    fields = [p for p in given if p.kind not in open_ended and p.name not in without]
     body: dict[str, Any] = {p.name: p.default for p in fields if p.default is not p.empty}
     body = {name: None if default is ... else default for name, default in body.items()}
-    body["__annotations__"] = {p.name: hints.get(p.name, Any) for p in fields}
+    body["__annotations__"] = {p.name: _loosen(hints.get(p.name, Any)) for p in fields}
     body |= {"__module__": called.__module__, "__doc__": called.__doc__}
     return type(called.__name__, bases, body)
+
+
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a function check its arguments by their annotations, as settings check their fields.
+
+    It gets what the caller gave, NumPy's numbers as Python's; ``*args`` and ``**kwargs`` are not
+    checked.
+    """
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        bound, schema = (
+            signature.bind(*args, **kwargs),
+            find_schema(function, without=("self", "cls")),
+        )
+        fields, given = schema.__pydantic_fields__, bound.arguments
+        schema(**{name: value for name, value in given.items() if name in fields})
+        for name, value in given.items():
+            given[name] = value.item() if isinstance(value, np.generic) else value
+        return function(*bound.args, **bound.kwargs)
+
+    return call
+
+
+def _loosen(hint: Any) -> Any:
+    """Return an annotation for arguments: named tuples are not made anew, ``...`` is no value."""
+    if isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields"):
+
+        def check(value: Any) -> Any:
+            if not isinstance(value, hint):
+                raise ValueError(f"an instance of {hint.__name__}")
+            return value
+
+        return typing.Annotated[Any, pydantic.PlainValidator(check)]
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        parts = (_loosen(part) for part in typing.get_args(hint) if part is not types.EllipsisType)
+        return typing.Union[tuple(parts)]  # noqa: UP007
+    return hint

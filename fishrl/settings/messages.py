@@ -59,7 +59,8 @@ def _list_members(hint: Any, name: str) -> Iterator[str]:
 
 
 def _show(value: Any) -> str:
-    return repr(value) if isinstance(value, str) else str(value)
+    text = repr(value) if isinstance(value, str) else str(value)
+    return text if len(text) < 200 and "\n" not in text else f"{type(value).__name__}(...)"
 
 
 def suggest(word: str, known: Iterable[str]) -> str:

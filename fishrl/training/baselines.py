@@ -27,7 +27,7 @@ from fishrl.modules import (
 )
 from fishrl.modules.gait_controllers import FrequencyController
 from fishrl.physics import BounceBack
-from fishrl.settings import suggest
+from fishrl.settings import checked, suggest
 
 #: Makes a policy for a task, given the seed of its random numbers.
 MakePolicy = Callable[[Any, int], TensorDictModuleBase]
@@ -52,6 +52,7 @@ class Baseline(NamedTuple):
 _REGISTERED: list[Baseline] = []
 
 
+@checked
 def baseline(
     name: str,
     *tasks: type,

@@ -16,7 +16,7 @@ from fishrl.envs.extensions import HasFlowLabels, HasHistory, find_extension
 from fishrl.extras import show_install
 from fishrl.memory import check_memory
 from fishrl.physics.fast.checks import check_device
-from fishrl.settings import Role, list_fields
+from fishrl.settings import Role, checked, list_fields
 from fishrl.training.baselines import choose_baselines
 from fishrl.training.checkpoint import Checkpoint
 from fishrl.training.plan import Plan
@@ -157,6 +157,7 @@ class Opened:
             raise HeldError(f"run folder {folder.path}: {CHANGED}")
 
 
+@checked
 def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
     """Open the run of these settings, or the run in a folder.
 

@@ -14,6 +14,7 @@ from torchrl.envs import TransformedEnv
 from fishrl.envs import AbstractTask, Flows, Recognition, make_env
 from fishrl.envs.episodes import Policy, run_episodes
 from fishrl.physics.fast.checks import check_device
+from fishrl.settings import checked
 from fishrl.torch_state import in_own_state
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import SILENT, Callback, join
@@ -24,6 +25,7 @@ from fishrl.training.policy_spec import PolicySpec, check_senses
 from fishrl.zoo import PREFIX, list_policies
 
 
+@checked
 def load_plan(checkpoint: str | Path) -> Plan:
     """Return the settings of a run: its task and recognition, for ``make_env``, and all others.
 
@@ -36,6 +38,7 @@ def load_plan(checkpoint: str | Path) -> Plan:
     return Plan.from_config(Checkpoint.find(checkpoint).config)
 
 
+@checked
 @in_own_state
 def load_policy(
     checkpoint: str | Path,
@@ -117,6 +120,7 @@ def prepare(
     return env, act
 
 
+@checked
 @in_own_state
 def evaluate(
     policy: str | Path | Policy,

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fishrl.envs import AbstractTask, Recognition
+from fishrl.settings import checked
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.callback import Callback
@@ -22,6 +23,7 @@ from fishrl.training.settings import LearningSettings, RunSettings
 logger = logging.getLogger(__name__)
 
 
+@checked
 def train(
     *,
     task: AbstractTask,
@@ -63,6 +65,7 @@ def train(
     return _run(open_run(plan), callbacks)
 
 
+@checked
 def resume(
     folder: str | Path, /, *, callbacks: Iterable[Callback] = (), **changes: Any
 ) -> dict[str, Any]:
@@ -86,6 +89,7 @@ def _run(opened: Opened, callbacks: Iterable[Callback]) -> dict[str, Any]:
     return complete(Training(opened, callbacks=callbacks))
 
 
+@checked
 def complete(training: Training) -> dict[str, Any]:
     """Run a training to its end and return the summary; on one of ``SIGNALS`` save and stop.
 

@@ -12,6 +12,7 @@ from typing import Any
 from fishrl.children import make_environment
 from fishrl.envs.scene import Scene
 from fishrl.files import check_folder, staged
+from fishrl.settings import checked
 from fishrl.viewer.blueprint import make_blueprint
 from fishrl.viewer.drawing import TIMELINE, Drawing
 from fishrl.viewer.process import Viewer
@@ -26,6 +27,7 @@ _MAX_SIZE = 1920
 _FLUSH_S, _FLUSH_BYTES = 60.0, 2**21
 
 
+@checked
 def start_drawing(
     scene: Scene,
     *,
@@ -71,6 +73,7 @@ def start_drawing(
     return Drawing(stream, scene, flows=flows, field_format=field_format, is_live=is_live)
 
 
+@checked
 def open_recording(path: str | os.PathLike[str]) -> None:
     """Open a ``.rrd`` file in a window and wait until it is closed.
 
@@ -88,6 +91,7 @@ def open_recording(path: str | os.PathLike[str]) -> None:
         )
 
 
+@checked
 def write_screenshot(
     path: str | os.PathLike[str], picture: str | os.PathLike[str], *, time_T: float | None = None
 ) -> None:
@@ -170,6 +174,7 @@ def open_headless(path: str | os.PathLike[str], time_T: float | None) -> Iterato
         yield viewer
 
 
+@checked
 def find_recording(path: str | os.PathLike[str]) -> Path:
     """Return the ``.rrd`` file at a path or in a run folder, or raise FileNotFoundError."""
     file = Path(path).expanduser()

@@ -19,11 +19,13 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle
 from numpy.typing import NDArray
+from pydantic import PositiveFloat
 from torch import Tensor
 
 from fishrl.envs.scene import Arrow, Curve, Frame, Marks, Scene
 from fishrl.figure_style import STYLE
 from fishrl.files import staged
+from fishrl.settings import checked
 from fishrl.viewer.colours import PURPLE_GREEN, RED_BLUE, WHITE_BLUE, round_limit, space_ticks
 from fishrl.viewer.recording import Recording
 
@@ -291,6 +293,7 @@ class FramePainter:
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
 
+@checked
 def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
     """Write one picture of the field at six equidistant times."""
     times, num = recording.time, _NUM_SNAPSHOTS
@@ -317,6 +320,7 @@ def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
             figure.savefig(stage)
 
 
+@checked
 def write_flow(recording: Recording, path: str | PathLike[str]) -> None:
     """Write a picture of the last frame."""
     with mpl.rc_context(STYLE):
@@ -326,8 +330,9 @@ def write_flow(recording: Recording, path: str | PathLike[str]) -> None:
             figure.savefig(stage)
 
 
+@checked
 def write_film(
-    recording: Recording, path: str | PathLike[str], *, seconds_per_T: float | None = None
+    recording: Recording, path: str | PathLike[str], *, seconds_per_T: PositiveFloat | None = None
 ) -> None:
     """Write the episode as an MP4 (H.264) or a GIF, using the ffmpeg of imageio-ffmpeg.
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import torch
+from pydantic import PositiveInt
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
@@ -19,10 +20,12 @@ from fishrl.envs.extensions import HasScene, find_extension, name_flow
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.scene import Choice, Ending, Frame, Panel, Scene
 from fishrl.envs.task import AbstractTask
+from fishrl.settings import checked
 from fishrl.torch_state import one_thread
 from fishrl.viewer.settings import ViewerSettings
 
 
+@checked
 def make_env_scene(
     env: TransformedEnv, view: ViewerSettings = ViewerSettings(), *, policy: str = ""
 ) -> Scene:
@@ -58,6 +61,7 @@ def make_env_scene(
     return scene.choose_field(view.field, limit=view.field_limit)
 
 
+@checked
 def name_flows(
     task: AbstractTask, flows: Collection[int], starts: TensorDictBase | None = None
 ) -> dict[int, str]:
@@ -195,6 +199,7 @@ class Recorder:
                 self._has_given[row] = True
 
 
+@checked
 def record_episodes(
     env: TransformedEnv,
     policy: Policy,
@@ -202,8 +207,8 @@ def record_episodes(
     *,
     scene: Scene,
     give: Callable[[int, Frame], None],
-    frames_per_T: int = 8,
-    max_decisions: int | None = None,
+    frames_per_T: PositiveInt = 8,
+    max_decisions: PositiveInt | None = None,
     on_step: Callable[[Tensor, TensorDictBase], None] | None = None,
     on_episodes: Callable[[int], None] | None = None,
 ) -> Episodes:

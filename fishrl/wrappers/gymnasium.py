@@ -25,6 +25,7 @@ from fishrl.envs import (
     make_task,
 )
 from fishrl.presets import list_tasks
+from fishrl.settings import checked
 from fishrl.wrappers.vector import FlowVectorEnv  # first: it names the extra if it is missing
 
 from gymnasium import register  # isort: skip
@@ -46,6 +47,7 @@ TASKS: dict[str, Callable[..., AbstractTask]] = {
 }
 
 
+@checked
 def make_vector(
     task: Callable[..., AbstractTask] | str, num_envs: int, **settings: Any
 ) -> FlowVectorEnv:
@@ -70,6 +72,7 @@ def make_vector(
     return FlowVectorEnv(env, **wrapping)
 
 
+@checked
 def make_single(task: Callable[..., AbstractTask] | str, **settings: Any) -> FlowSingleEnv:
     """Return an environment of one flow; arguments are those of ``make_vector``."""
     if "num_envs" in settings or "autoreset_mode" in settings:

@@ -20,6 +20,7 @@ from torchrl.envs import TransformedEnv
 from fishrl.envs.episodes import Policy, run_episodes
 from fishrl.extras import needing
 from fishrl.files import claim
+from fishrl.settings import checked
 
 with needing("export", __name__):
     import minari
@@ -41,6 +42,7 @@ def find_dataset(name: str, folder: str | Path) -> Path:
     return path
 
 
+@checked
 def write_dataset(
     env: TransformedEnv,
     policy: Policy,

@@ -2,6 +2,7 @@
 
     python studies/benchmark/runs.py station-v1 ppo 0    # continues a run
     python studies/benchmark/runs.py table               # into docs/benchmark.md
+    python studies/benchmark/runs.py keep predation-v1   # of all seeds in runs/benchmark, for the zoo
 """
 
 import argparse
@@ -22,6 +23,8 @@ from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
+from fishrl.training.checkpoint import write_sums
+from fishrl.training.export import export_policy, write_results
 from fishrl.training.run_folder import write_json
 
 FOLDER = Path("runs/benchmark")
@@ -40,6 +43,15 @@ ALGORITHMS = {
     "drqn": (DRQN(), SAC_LIKE),
     "ppo": (PPO(), {}),
     "sac": (SAC(), SAC_LIKE),
+}
+#: Policies of the zoo by their task: name, and title of the card.
+ZOO = {
+    "predation-v1": ("predation", "Predation, food on drawn paths, by commanded turns"),
+    "predation-bend-v1": ("predation_bend", "Predation, food on drawn paths, by bending"),
+    "streets-v1": (
+        "gait_bend_streets",
+        "Kármán gait by bending, blind, with its lateral line, in streets that differ",
+    ),
 }
 
 
@@ -138,6 +150,24 @@ def run(name: str, algorithm: str, seed: int) -> None:
     print(row.policy, row.value, row.low, row.high)
 
 
+def keep(name: str) -> None:
+    """Write the seed that scores best on the validation as one of the zoo, scored on the test."""
+    task, (called, title) = make_task(name), ZOO[name]
+    runs = sorted(path for path in FOLDER.glob(f"{name}-discrete_sac-[0-9]"))
+    values = {run: score(str(run), task=task, split="validation").value for run in runs}
+    best = max(runs, key=lambda run: values[run])
+    row = score(str(best), task=task)
+    folder = export_policy(best, Path("runs/zoo") / called, title=title, revision=row.commit)
+    write_json(folder / "summary.json", {**row.metrics, "version": name})
+    card = folder / "README.md"
+    words = f"On the {row.metrics['episodes']} test starts of `{name}`; best of {len(runs)} seeds on the validation:"
+    begin, end = "Final evaluation from", "`metrics.csv` holds"
+    before, after = card.read_text().split(begin)[0], card.read_text().split(end)[1]
+    card.write_text(f"{before}{words}\n\n{write_results(row.metrics)}\n{end}{after}")
+    write_sums(folder)
+    print(values, folder)
+
+
 class Method(NamedTuple):
     """Rows of one method in a task, one per seed."""
 
@@ -194,12 +224,14 @@ def table() -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("task", choices=(*BUDGETS, "table"))
+    parser.add_argument("task", choices=(*BUDGETS, "table", "keep"))
     parser.add_argument("algorithm", nargs="?", default="discrete_sac")
     parser.add_argument("seed", nargs="?", type=int, default=0)
     given = parser.parse_args()
     if given.task == "table":
         table()
+    elif given.task == "keep":
+        keep(given.algorithm)
     else:
         budget = BUDGETS[given.task]
         if given.algorithm not in budget.algorithms or given.seed not in range(budget.num_seeds):

@@ -26,7 +26,7 @@ def check_tensor(
     There it must be finite and of a magnitude of at most ``largest``, a number or as ``value``, for
     a ``reason``. That is read on a CPU only: on a GPU the host would have to wait.
     """
-    wanted = "a tensor" + ("" if shape is None else f" of shape {shape}")
+    wanted = "a tensor" + ("" if shape is None else f" of shape {shape}".replace("None", "any"))
     wanted += f" and type {dtype}" if dtype else ""
     if not isinstance(value, Tensor):
         raise ValueError(f"{name} = {value!r}: give {wanted}")
@@ -108,8 +108,6 @@ def list_configs(
     """
     if isinstance(config, FlowConfig):
         num_envs = 1 if num_envs is None else num_envs
-        if num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
         check_memory(device=device, flows=num_envs * config.num_bytes)
         return [config] * num_envs
     if not config or num_envs not in (None, len(config)):

@@ -3,8 +3,10 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import hypot
+from typing import Annotated
 
 import torch
+from pydantic import Field, NonNegativeInt, PositiveInt
 from torch import Tensor
 
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
@@ -26,6 +28,7 @@ from fishrl.physics.flow import FlowConfig, change_stream_speed, compute_stream_
 from fishrl.physics.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 from fishrl.physics.placement import check_placement, find_water, lies_inside, spread_starts
+from fishrl.settings import checked
 from fishrl.torch_state import with_own_state
 
 
@@ -49,22 +52,22 @@ class InPlaceSolver:
             of B. None is one on a CPU, whose cache holds a flow, and all on a GPU.
     """
 
+    @checked
     def __init__(
         self,
         *,
         config: FlowConfig | Sequence[FlowConfig],
-        num_envs: int | None = None,
+        num_envs: PositiveInt | None = None,
         frequency: float | Tensor | None = None,
         device: torch.device | str = "cpu",
         compile: bool = True,
-        num_workers: int | None = None,
-        flows_per_launch: int | None = None,
+        num_workers: NonNegativeInt | None = None,
+        flows_per_launch: PositiveInt | None = None,
     ) -> None:
         check_device(device)
         device = torch.device(device)
-        configs = list_configs(config, num_envs, device)
-        self.configs, self.config = configs, configs[0]
-        self.num_envs, self.device = len(configs), device
+        self.configs = configs = list_configs(config, num_envs, device)
+        self.config, self.num_envs, self.device = configs[0], len(configs), device
         self._frequency = read_frequency(frequency, configs).to(device)
         self._execution = Execution(
             configs,
@@ -100,8 +103,7 @@ class InPlaceSolver:
     @property
     def body(self) -> BodyState:
         """The first body's state, the fish where there is one."""
-        if not self.bodies:
-            raise ValueError("this flow has no body: give FlowConfig(bodies=...)")
+        self._get_body(0)
         return self.bodies[0]
 
     def compile(self) -> None:
@@ -112,13 +114,14 @@ class InPlaceSolver:
         """End the workers, if any; the flows can still be read."""
         self._execution.close()
 
-    def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
+    @checked
+    def advance_(self, num_steps: NonNegativeInt, rows: Tensor | None = None) -> None:
         """Advance the flows of ``rows`` ``[B]`` bool (None is all) by an even number of steps.
 
-        With levels it is a multiple of 2^levels: even on the coarsest one.
-        Flows that share a group with one of them advance too; all others keep their state. On a CPU
-        each flow is its own group by default. On a GPU all flows are one group, which always
-        advances, since the host would have to wait to see whether any row must.
+        With levels it is a multiple of 2^levels: even on the coarsest one. Flows that share a group
+        with one of them advance too; all others keep their state. On a CPU each flow is its own
+        group by default. On a GPU all flows are one group, which always advances, since the host
+        would have to wait to see whether any row must.
 
         On a CPU a warning is logged, once, for flows that are no longer finite, whose bodies or
         patches overlap, or a body of which has left grid or patch; not with ``rows``, whose caller,
@@ -129,7 +132,7 @@ class InPlaceSolver:
                 several bodies that have not been placed, and as ``command_``.
         """
         unit = 2 * self.config.coarsest_spacing
-        if num_steps < 0 or num_steps % unit:
+        if num_steps % unit:
             raise ValueError(f"num_steps = {num_steps}: must be a multiple of {unit}, or 0")
         chosen, size = self._choose(rows), self._group_size
         is_one_launch = self.device.type == "cuda" and size == self.num_envs
@@ -158,6 +161,7 @@ class InPlaceSolver:
         check_tensor("rows", rows, (self.num_envs,), dtype=torch.bool)
         return rows.to(self.device)
 
+    @checked
     def reset_(
         self,
         rows: Tensor,
@@ -193,9 +197,8 @@ class InPlaceSolver:
         fastest = hypot(*velocity) * flow.params.stream_speed
         check_tensor("velocity times stream_speed", fastest, where=rows, largest=MAX_IMPOSED_SPEED)
         frequency = torch.zeros_like(heading[:, 0]) + self._frequency
-        fresh = [
-            make_body(position[:, m], heading[:, m], frequency) for m in range(len(self.bodies))
-        ]
+        each = zip(self.bodies, position.unbind(1), heading.unbind(1), strict=False)
+        fresh = [make_body(place, angle, frequency) for _, place, angle in each]
         check_placement(self.config, flow.params.bodies, fresh, rows)
         self._batch.check_places(fresh, rows)
         if self._unplaced is not None:
@@ -207,8 +210,7 @@ class InPlaceSolver:
         new = flow._replace(clock=zero, params=params, bodies=tuple(fresh))
         set_rows_(flow, new, rows, name="flow")
         speed = params.stream_speed.float()
-        still = torch.zeros_like(speed)
-        f = compute_equilibrium(still, velocity[0] * speed, velocity[1] * speed)
+        f = compute_equilibrium(0.0 * speed, velocity[0] * speed, velocity[1] * speed)
         self._batch.fill_(rows, f)
         self.join_stream_(rows)
 
@@ -231,8 +233,9 @@ class InPlaceSolver:
         """Present stream speed of each flow ``[B]``, nodes per step; a copy."""
         return compute_stream_speed(self._batch.flow.params, self._batch.flow.clock)
 
+    @checked
     def set_stream_speed_(
-        self, speed: Tensor, rows: Tensor | None = None, *, num_steps: int | None = None
+        self, speed: Tensor, rows: Tensor | None = None, *, num_steps: PositiveInt | None = None
     ) -> None:
         """Set the stream speed ``[B]`` of all flows, or of those in ``rows`` ``[B]``.
 
@@ -266,13 +269,14 @@ class InPlaceSolver:
         On a GPU ``f`` may be of all B flows. With levels give those of each grid where it is, of N,
         coarsest first, or None for what its parent fills.
         """
-        chosen = self._batch.choose_written(self._choose(rows), f)
-        self._batch.write_(chosen, check_populations(f, self.config, len(chosen)))
+        own = self._batch.choose_written(self._choose(rows), f)
+        self._batch.write_(own, check_populations(f, self.config, len(own)))
 
+    @checked
     def command_(
         self,
         turn: Tensor,
-        num_steps: int,
+        num_steps: Annotated[int, Field(ge=2)],
         frequency: Tensor | None = None,
         amplitude: Tensor | None = None,
     ) -> None:
@@ -289,8 +293,6 @@ class InPlaceSolver:
             ValueError: for another shape, numbers that are not finite, more than all bodies, and on
                 a CPU for a surface that would exceed 0.3 nodes per step, or an amplitude above 1.
         """
-        if num_steps < 2:
-            raise ValueError(f"num_steps = {num_steps}: a turn takes at least two steps")
         check_tensor("turn", turn)
         every, shape = self._choose(None), (self.num_envs, *turn.shape[1:2])
         columns: dict[str, tuple[Tensor, ...]] = {}
@@ -306,8 +308,8 @@ class InPlaceSolver:
             for own in zip(*columns.values(), strict=True)
         ]
         pairs = list(zip(self.bodies, orders, strict=False))
-        ordered = [body._replace(**order) for body, order in pairs]
-        self._commands.check(ordered, self._batch.flow.params.bodies)
+        new = [body._replace(**order) for body, order in pairs]
+        self._commands.check(new, self._batch.flow.params.bodies)
         self._watch.is_idle &= frequency is None
         for body, order in pairs:
             for name, value in order.items():
@@ -391,9 +393,8 @@ class InPlaceSolver:
         self._watch.forget_(self._choose(None))
 
     def list_calls(self) -> list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]:
-        """Return the parts of a step in order, for measuring them in this process.
+        """Return the parts of a step in order, the collision first with one level, to measure them.
 
-        Each comes with the first group's arguments of ``run`` at even and at odd steps; with one
-        level the first part is the collision.
+        Each comes with the first group's arguments of ``run`` at even and at odd steps.
         """
         return self._batch.list_calls()
