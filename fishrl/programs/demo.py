@@ -9,9 +9,9 @@ import argparse
 import shutil
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 
-from fishrl.children import start_child
 from fishrl.files import staged
 
 ZOO = Path(__file__).parents[1] / "zoo"
@@ -36,17 +36,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.stdout.write(f"now zoo/{name} in a flow computed here, compiled first: about a minute\n")
     sys.stdout.flush()
     save = f"{folder / title}.mp4".replace("'", r"\'")
-    child = start_child(
-        "from fishrl.programs.view import main; main()",
-        *(
-            f"policy=zoo/{name}",
-            "periods=30",
-            f"save='{save}'",
-            f"flows.compile={not options.eager}",
-        ),
-    )
-    try:
-        if status := child.wait():
-            sys.exit(status)
-    except KeyboardInterrupt:
-        sys.exit("interrupted")
+    words = [f"policy=zoo/{name}", "periods=30", f"save='{save}'"]
+    view = import_module("fishrl.programs.view")  # imports torch, which takes seconds
+    view.main([*words, f"flows.compile={not options.eager}"])
