@@ -46,7 +46,7 @@ QUICK: dict[str, Any] = {"baselines": (), "eval_episodes": 2, "final_episodes": 
 def make_toy_plan(folder: Path, *, task: dict[str, Any] | None = None, **settings: Any) -> Plan:
     """Make a plan from its settings; ``folder`` is where run folders lie."""
     values: dict[str, Any] = {**DEFAULTS, "folder": str(folder), "preset": "toy", **settings}
-    return Plan(task=ToyPredation(**task or {}), **values)  # type: ignore[arg-type]
+    return Plan(task=ToyPredation(**task or {}), **values)
 
 
 def make_run_folder(plan: Plan) -> RunFolder:

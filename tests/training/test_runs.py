@@ -166,7 +166,7 @@ def test_resume_stores_changes_and_keeps_entries_of_programs(toy: Toy) -> None:
 
 
 def test_resume_leaves_a_finished_run_unchanged_unless_extended(toy: Toy) -> None:
-    out_of_reach = {"capture_radius_bl": 0.0}
+    out_of_reach = {"capture_radius_bl": 1e-9}
     result = toy.begin(name="run", total_frames=16, task=out_of_reach, **QUICK).run()
     toy.trainings[-1].close()
     run, plan = toy.folder / "run", toy.trainings[-1].plan
@@ -195,7 +195,7 @@ def test_training_named_run_again_continues_or_returns_summary(toy: Toy) -> None
         phases.clear()
         few: dict[str, Any] = QUICK | {"folder": str(toy.folder)}
         return train(
-            task=ToyPredation(),  # type: ignore[arg-type]
+            task=ToyPredation(),
             learning=LearningSettings(
                 flows=Flows(num_envs=8), warmup_frames=80, updates_per_frame=0.1
             ),

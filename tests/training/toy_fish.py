@@ -7,9 +7,7 @@ hunts food that moves up and down. Walls at the sides of a 10 x 5 body-length ba
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 import torch
@@ -18,39 +16,27 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase, TransformedEnv
 
-from fishrl.envs import AbstractTask, Flows, Predation, make_env
-from fishrl.envs.control import Turn
+from fishrl.envs import Flows, Predation, make_env
 from fishrl.envs.mirror import Mirror
 from fishrl.envs.sense import Sense
 from fishrl.modules.controllers import LEAD_T
-from fishrl.physics import BounceBack, Skin
 
 STATE = ("position", "heading", "food", "direction", "age", "distance", "error", "start_index")
 
 
-@dataclass(kw_only=True)
-@AbstractTask.register
-class ToyPredation:
-    """What the training loop asks of a task."""
+class ToyPredation(Predation):
+    """Predation whose flows are played by a point fish."""
 
-    n_obs, num_stacked, n_substeps, checks_per_action = 4, 4, 10, 1
-    interval_T, success, control = 1.0, "captured", Turn()
-    num_fish, body_length, bends = 1, 10, False
-    critic_num_stacked = 2
-    mirror = Mirror((1, -2, 3, -4), (-1, 2), (2, 1, 0))
-    senses: tuple[Sense, ...] = ()
-    scales = SimpleNamespace(period=10, body_length=10)
+    known_senses: ClassVar[dict[str, Sense]] = {
+        "heading": Sense("heading", ("sine", "cosine"), lambda now: now["heading"])
+    }
+    mirror: ClassVar[Mirror] = Mirror((1, -2, 3, -4), (-1, 2), (2, 1, 0))
 
-    time_limit: int = 30
-    levels: int = 1
     capture_radius_bl: float = 0.4
-    food_speed_bl: float = 0.3
+    critic_num_stacked: int = 2
     divergence_rate: float = 0.0
     banned_action: int = -1
     is_continuous: bool = False
-    critic_observes: tuple[str, ...] = ()
-    critic_reads_stack: bool = True
-    skin: Skin = BounceBack()  # noqa: RUF009 - frozen
 
     @property
     def num_actions(self) -> int:
@@ -60,21 +46,10 @@ class ToyPredation:
     def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
         return ((-15.0, 15.0), (0.5, 1.0)) if self.is_continuous else None
 
-    @property
-    def critic_senses(self) -> tuple[Sense, ...]:
-        both = ("sine of the heading", "cosine of the heading")
-        return tuple(Sense(name, both, lambda now: now["heading"]) for name in self.critic_observes)
-
-    def flow_config(self) -> SimpleNamespace:
-        return SimpleNamespace(updates_per_step=5000, num_bytes=0)
-
     def sample_starts(self, num: int, generator: torch.Generator) -> TensorDict:
         draw = torch.rand(num, 2, generator=generator)
         position = torch.tensor([5.0, 1.0]) + draw * torch.tensor([2.5, 3.0])
         return TensorDict({"position": position}, [num])
-
-
-Predation.register(ToyPredation)  # so that its baselines fit
 
 
 class ToyFishEnv(EnvBase):
