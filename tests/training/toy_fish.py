@@ -19,7 +19,6 @@ from torchrl.envs import EnvBase, TransformedEnv
 from fishrl.envs import Flows, Predation, make_env
 from fishrl.envs.mirror import Mirror
 from fishrl.envs.sense import Sense
-from fishrl.modules.controllers import LEAD_T
 
 STATE = ("position", "heading", "food", "direction", "age", "distance", "error", "start_index")
 
@@ -113,18 +112,15 @@ class ToyFishEnv(EnvBase):
             mask[:, self.task.banned_action] = False
         away = self.food - self.position
         observation = torch.cat([away, distance[:, None], error[:, None]], -1)
-        ages = self.age[:, None] + LEAD_T * torch.arange(160)
-        along = (1.0 + self.task.food_speed_bl * (ages - 5.0).clamp_min(0.0)) % 4.0
-        ahead = torch.stack(
-            (torch.full_like(along, 2.5), 1.5 + torch.minimum(along, 4.0 - along)), -1
-        )
+        starts = TensorDict({"food_direction": torch.ones_like(self.age)}, self.batch_size)
+        ahead = self.task.foresee_food(starts, self.age * self.task.scales.period)
         heading = torch.stack((self.heading.sin(), self.heading.cos()), -1)
         return {
             "observation": observation,
             **({"critic_observation": heading} if self.task.critic_senses else {}),
             **({} if self.task.is_continuous else {"action_mask": mask}),
             "start_index": self.start_index.clone(),
-            "food_ahead": ahead,
+            "food_ahead": (ahead / self.task.body_length).float(),
             **{name: flag.unsqueeze(-1) for name, flag in flags.items()},
         }
 
