@@ -14,6 +14,7 @@ from fishrl.programs import train
 from fishrl.programs.configuration import CONF
 from fishrl.programs.train_settings import TRAINING
 from tests.experiments.gait.tasks import OVERRIDES
+from tests.smoke.test_programs import FEW
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -25,13 +26,7 @@ YAMLS = sorted(
     if group not in ("preset", "task")
     for path in (CONF / group).glob("*.yaml")
 )
-TINY = [
-    *OVERRIDES,
-    *("flows.compile=false", "flows.num_envs=2", "task.time_limit=2"),
-    *("total_frames=4", "warmup_frames=2"),
-    *("batch_size=2", "hidden=[8]", "eval_frames=4", "eval_episodes=1", "final_episodes=1"),
-    *("picture_episodes=0", "baselines=[]", "name=run"),
-]
+TINY = [*OVERRIDES, *FEW, "picture_episodes=0", "baselines=[]", "name=run"]
 #: What a choice needs besides.
 MORE = {
     "drqn": ["algorithm.sequence_length=2"],

@@ -24,6 +24,7 @@ from tests.envs.conftest import SMALL, move_kinematically
 from tests.envs.test_follower import TINY as FOLLOWER
 from tests.envs.test_real_flow import TINY
 from tests.process_state import leaving_process_as_it_was
+from tests.programs.stage import find_module
 
 pytestmark = pytest.mark.smoke
 ROOT = Path(__file__).parents[2]
@@ -55,8 +56,7 @@ def set_task(values: dict[str, Any]) -> list[str]:
 
 def _run(program: str, *arguments: object) -> None:
     """Run a program in this process; it must end well."""
-    package = "fishrl.programs" if program in list_programs() else "experiments"
-    module = importlib.import_module(f"{package}.{program.replace('-', '_')}")
+    module = importlib.import_module(find_module(program))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", [program, *map(str, arguments)])
         with leaving_process_as_it_was():
