@@ -22,7 +22,7 @@ from fishrl.settings.base import (
     list_fields,
 )
 from fishrl.settings.messages import suggest, unknown
-from fishrl.settings.plain import TARGET, build, describe, find_class, find_main, flatten, to_plain
+from fishrl.settings.plain import TARGET, build, describe, flatten, to_plain
 
 __all__ = [
     "REQUIRED",
@@ -34,8 +34,6 @@ __all__ = [
     "build",
     "checked",
     "describe",
-    "find_class",
-    "find_main",
     "find_role",
     "flatten",
     "list_fields",
