@@ -100,23 +100,21 @@ class ToyFishEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         self.rng.manual_seed(seed or 0)
 
-    def _geometry(self) -> tuple[Tensor, Tensor]:
+    def _sense(self) -> Tensor:
         away = self.food - self.position
         bearing = torch.atan2(away[:, 1], away[:, 0]) - self.heading
-        return away.norm(dim=-1), torch.atan2(bearing.sin(), bearing.cos())
+        error = torch.atan2(bearing.sin(), bearing.cos())
+        return torch.stack((*away.unbind(-1), away.norm(dim=-1), error), -1)
 
     def _observe(self, **flags: Tensor) -> dict[str, Tensor]:
-        distance, error = self._geometry()
         mask = torch.ones(self.batch_size[0], 3, dtype=torch.bool)
         if self.task.banned_action >= 0:
             mask[:, self.task.banned_action] = False
-        away = self.food - self.position
-        observation = torch.cat([away, distance[:, None], error[:, None]], -1)
         starts = TensorDict({"food_direction": torch.ones_like(self.age)}, self.batch_size)
         ahead = self.task.foresee_food(starts, self.age * self.task.scales.period)
         heading = torch.stack((self.heading.sin(), self.heading.cos()), -1)
         return {
-            "observation": observation,
+            "observation": self._sense(),
             **({"critic_observation": heading} if self.task.critic_senses else {}),
             **({} if self.task.is_continuous else {"action_mask": mask}),
             "start_index": self.start_index.clone(),
@@ -140,7 +138,7 @@ class ToyFishEnv(EnvBase):
         self.position[rows] = drawn["position"]
         self.food[rows] = torch.tensor([2.5, 2.5])
         self.heading[rows], self.direction[rows], self.age[rows] = math.pi, 1.0, 0.0
-        distance, error = self._geometry()
+        distance, error = self._sense()[:, 2:].unbind(-1)
         self.distance[rows], self.error[rows] = distance[rows], error.abs()[rows]
         none = torch.zeros(self.batch_size, dtype=torch.bool)
         flags = {n: none.unsqueeze(-1).clone() for n in ("done", "terminated", "truncated")}
@@ -161,7 +159,7 @@ class ToyFishEnv(EnvBase):
         self.food[:, 1] += moves
         self.direction = torch.where(self.food[:, 1] > 3.5, -1.0, self.direction)
         self.direction = torch.where(self.food[:, 1] < 1.5, 1.0, self.direction)
-        distance, error = self._geometry()
+        distance, error = self._sense()[:, 2:].unbind(-1)
         nearer = (distance < self.distance) | (error.abs() < self.error)
         self.distance, self.error = distance, error.abs()
         captured = distance < self.task.capture_radius_bl
