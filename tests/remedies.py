@@ -32,6 +32,7 @@ from fishrl.physics import (
     ImmersedBoundary,
     InPlaceSolver,
     NonEquilibrium,
+    OpenEdge,
     Periodic,
     Scales,
     Sponge,
@@ -72,7 +73,7 @@ scale = partial(Scales, body_length=100, reynolds=7000.0)
 flow = partial(FlowConfig, width=128, height=64, tau=0.6)
 fish = partial(Fish, body_length=50)
 BALL, BALLS = Cylinder(diameter=20), (Cylinder(diameter=20),) * 2
-FAST = Boundaries(left=NonEquilibrium(velocity=(0.5, 0.0)))
+FAST = Boundaries(left=NonEquilibrium(velocity=(0.5, 0.0)), right=OpenEdge())
 STEEP = Gait(amplitude=0.2, envelope=(0.0, 1.0, 0.0), wavenumber=2 * math.pi)
 TIGHT = Strokes(sequence=(replace(C_START.sequence[0], bend=(50.0, 0.0, 0.0)),))
 LEVELS = {"width": 193, "height": 129, "bodies": (Cylinder(diameter=9),), "levels": 2}
@@ -140,6 +141,14 @@ FLOWS: list[tuple[Any, ...]] = [
     (flow, "tau", 0.5, 0.55),
     (flow, "tau", 3.0, 1.5),
     (partial(flow, boundaries=FAST), "stream_speed", 0.9, 0.2),
+    (
+        partial(flow, stream_speed=0.1),
+        "boundaries",
+        Boundaries(left=NonEquilibrium(velocity=(1.0, 0.0))),
+        FAST,
+    ),
+    (flow, "patches", (Patch(),), ()),
+    (lambda tau: flow(tau=1.0, sponges=(TOP(length=4, tau=tau),)), 0.6, 1.5),
     (partial(compute_tau, length=24.0, speed=0.07), "reynolds", 20000.0, 1000.0),
     (partial(compute_tau, speed=0.1, reynolds=1.0), "length", 24.0, 2.0),
     (partial(Scales, body_length=100, reynolds=7000.0), "period", 400, 800),

@@ -30,6 +30,7 @@ from fishrl.envs.specs import make_specs
 from fishrl.envs.task import AbstractTask
 from fishrl.physics.fast.checks import check_device
 from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.settings import checked
 
 logger = logging.getLogger(__name__)
 
@@ -262,6 +263,7 @@ class FlowEnv(EnvBase):
         """Seed of the starts."""
         return self._seed
 
+    @checked
     def _set_seed(self, seed: int | None) -> None:
         """Restart the sequence of starts from ``seed`` (0 if None) at the next reset."""
         self._seed = 0 if seed is None else seed

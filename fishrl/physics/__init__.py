@@ -8,6 +8,7 @@ from fishrl.physics.bodies.motion import (
     Driven,
     Fixed,
     Free,
+    Motion,
     Oscillating,
     Surging,
     Towed,
@@ -18,12 +19,15 @@ from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.bodies.strokes import C_START, Stroke, Strokes
 from fishrl.physics.boundaries import (
     Boundaries,
+    Boundary,
     NonEquilibrium,
     NoSlip,
     OpenEdge,
     Periodic,
     Profile,
+    Side,
 )
+from fishrl.physics.collision import Rates
 from fishrl.physics.diagnostics import (
     compute_coefficient,
     compute_pressure,
@@ -49,6 +53,7 @@ __all__ = [
     "BodyState",
     "BounceBack",
     "Boundaries",
+    "Boundary",
     "Commanded",
     "Cylinder",
     "DCylinder",
@@ -64,6 +69,7 @@ __all__ = [
     "Gait",
     "ImmersedBoundary",
     "InPlaceSolver",
+    "Motion",
     "NoSlip",
     "NonEquilibrium",
     "OpenEdge",
@@ -71,8 +77,10 @@ __all__ = [
     "Patch",
     "Periodic",
     "Profile",
+    "Rates",
     "Scales",
     "Section",
+    "Side",
     "Skin",
     "Sponge",
     "Stroke",

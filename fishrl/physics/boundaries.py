@@ -300,6 +300,25 @@ class Boundaries(Settings):
                 values[corner] = 0.0
         return values
 
+    def check_balance(self, width: int, height: int) -> None:
+        """Raise ValueError if edges bring more water in than out, or less, and none is open."""
+        inflow = 0.0
+        for side in Side:
+            edge, axis = getattr(self, side.name.lower()), 0 if side.value[0] else 1
+            normal = (edge.velocity or (None, None))[axis]
+            if isinstance(edge, Periodic):
+                continue
+            is_closed = isinstance(edge, NoSlip | NonEquilibrium) and normal is not None
+            if not is_closed or getattr(edge, "density", None) is not None:
+                return
+            profile = self.evaluate_profile(side, (height, width)[axis])[1:-1]
+            inflow += sum(side.value) * edge.imposed_velocity[axis] * float(profile.sum())
+        if abs(inflow) > 1e-6 * (width + height):
+            raise ValueError(
+                f"boundaries bring {'in' if inflow > 0 else 'out'} water that nothing balances, "
+                "so the density changes without end: make one of them OpenEdge()"
+            )
+
     def list_crossings(self, height: int, width: int) -> list[tuple[int, Index, Index]]:
         """Return which outgoing populations enter on the other side of periodic edges.
 

@@ -102,7 +102,15 @@ class FlowConfig(Settings):
                 f"an edge imposes {self.fastest_edge:.3f} nodes per step, allowed is "
                 f"{MAX_IMPOSED_SPEED} (Mach 0.52): lower stream_speed"
             )
+        self.boundaries.check_balance(self.width, self.height)
+        if self.patches and self.levels == 1:
+            raise ValueError("patches: are of finer levels; give levels = 2 or more, or no patches")
         for sponge in self.sponges:
+            if sponge.tau < self.tau:
+                raise ValueError(
+                    f"Sponge of tau = {sponge.tau:g} in a flow of {self.tau:g}: its viscosity must "
+                    "be larger; raise tau of the sponge"
+                )
             if sponge.length > (self.width if sponge.side.value[0] else self.height):
                 raise ValueError(
                     f"Sponge of {sponge.length} nodes does not fit into {self.width} x "

@@ -237,7 +237,7 @@ def list_words(*hints: Any) -> dict[str, Any]:
     enums = [kind for hint in hints for kind in list_classes(hint) if issubclass(kind, Enum)]
     members = {_spell(name): each for kind in enums for name, each in kind.__members__.items()}
     return members | {
-        re.sub(r"(?<=[a-z\d])(?=[A-Z])", "-", kind.__name__).lower(): kind
+        re.sub(r"(?<=[a-z\d])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", kind.__name__).lower(): kind
         for kind in _list_kinds(*hints)
         if not _list_required(kind)
     }

@@ -66,7 +66,15 @@ def baseline(
         *tasks: classes of tasks that it can act in.
         fits: whether it can act in a task with its settings.
         is_default: compare learned policies with it by default.
+
+    Raises:
+        ValueError: without a class, or for a name that would be taken for a path.
     """
+    if not tasks or "/" in name:
+        raise ValueError(
+            f"baseline {name!r}: give a name without a slash, and the class of its tasks, "
+            "as in @baseline('mine', Predation)"
+        )
 
     def register(make: M) -> M:
         _REGISTERED.append(Baseline(name, tasks, make, fits, is_default))

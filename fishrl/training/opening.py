@@ -188,6 +188,8 @@ def open_run(run: Plan | str | Path, /, **changes: Any) -> Opened:
         folder = RunFolder.of_existing(run)
         config = read_config(folder.config)
         stored = Plan.from_config(config)
+        for key in changes.keys() & {"name", "folder"}:
+            raise ValueError(f"{key}: is fixed in {folder.path}; leave it out, or start a new run")
         plan = stored.change(**changes)
     opened = Opened(plan=plan, folder=folder, stored=config)
     summary = read_summary(folder.summary).items()

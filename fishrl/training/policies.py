@@ -61,6 +61,7 @@ def load_policy(
 
     Errors are those of ``load_plan``.
     """
+    check_device(device)
     found = Checkpoint.find(checkpoint)
     plan = Plan.from_config(found.config)
     if has_labels is None:

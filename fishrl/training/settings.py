@@ -2,7 +2,14 @@
 
 from typing import Annotated
 
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from pydantic import (
+    AfterValidator,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+)
 
 from fishrl.envs import Flows
 from fishrl.settings import Role, Settings
@@ -69,6 +76,12 @@ class LearningSettings(Settings):
             )
 
 
+def _check_name(name: str | None) -> str | None:
+    if name is not None and (not name or name in (".", "..") or set(name) & {*"/\\"}):
+        raise ValueError("a name without slashes, of a folder in ``folder``")
+    return name
+
+
 class RunSettings(Settings):
     """Where a training runs and how often it reports; may change when a run is resumed.
 
@@ -90,8 +103,8 @@ class RunSettings(Settings):
 
     total_frames: Annotated[PositiveInt, Role.CONTINUATION] = 2800
     learner_device: Annotated[str | None, Role.CONTINUATION] = None
-    folder: Annotated[str, Role.HARMLESS] = "runs"
-    name: Annotated[str | None, Field(min_length=1), Role.HARMLESS] = None
+    folder: Annotated[str, Field(min_length=1), Role.HARMLESS] = "runs"
+    name: Annotated[str | None, AfterValidator(_check_name), Role.HARMLESS] = None
     log_frames: Annotated[PositiveInt, Role.HARMLESS] = 64
     checkpoint_frames: Annotated[PositiveInt, Role.HARMLESS] = 350
     keep_checkpoints: Annotated[PositiveInt, Role.HARMLESS] = 2

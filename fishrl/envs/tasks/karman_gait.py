@@ -136,7 +136,7 @@ class KarmanGait(AbstractControlTask, AbstractStreamTask, HasFlowLabels, HasScen
         if not (self.steers or self.steering.has_mirror):
             raise ValueError(
                 f"reflect: {type(self.steering).__name__} does not turn as its mirror image would; "
-                "take steering=pid, or reflect=false"
+                "take steering=pid-steering, or reflect=false"
             )
         return super().mirrored_actions
 
