@@ -70,7 +70,7 @@ class FlowConfig(Settings):
             the spacing that everything else here is in, and each coarser level has twice that of
             the next finer one. Then the width less one, and likewise the height, is a multiple of
             2^(levels - 1), or with periodic edges the width itself.
-        patches: where the finer levels are; by default around each body.
+        patches: where the finer levels are; by default around each body. Not read with one level.
     """
 
     former: ClassVar[Mapping[str, str]] = {
@@ -103,8 +103,6 @@ class FlowConfig(Settings):
                 f"{MAX_IMPOSED_SPEED} (Mach 0.52): lower stream_speed"
             )
         self.boundaries.check_balance(self.width, self.height)
-        if self.patches and self.levels == 1:
-            raise ValueError("patches: are of finer levels; give levels = 2 or more, or no patches")
         for sponge in self.sponges:
             if sponge.tau < self.tau:
                 raise ValueError(

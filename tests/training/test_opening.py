@@ -46,7 +46,7 @@ def test_wrong_observation_size_is_told_before_compiling(monkeypatch: pytest.Mon
     [
         ({"baselines": ("randm",)}, "did you mean 'random'"),
         ({"flows": Flows(device="cuda:99")}, "CUDA devices"),
-        ({"name": ""}, "name = '': must have at least 1 character"),
+        ({"name": ""}, "name = '': must be a name without slashes"),
         ({"scale_inputs": True, "warmup_frames": 0}, "warmup_frames = 0: .* raise it"),
         ({"initial_policy": "nowhere"}, "checkpoint nowhere: there is none"),
         ({"buffer_size": 10**12}, "buffer .* GB: more than the .* GB of cpu"),
