@@ -52,7 +52,7 @@ $(DEV_STAMP): $(STAMP)
 	@touch $@
 
 train: $(STAMP) ## train a policy to catch moving food on a coarse grid; ARGS="seed=1 ..." sets any setting
-	$(BIN)/fishrl train $(if $(filter resume=% preset=% task=%,$(ARGS)),,preset=quick total_frames=4900) $(ARGS)
+	$(BIN)/fishrl train $(if $(filter resume=% preset=% task=%,$(ARGS)),,preset=quick $(if $(filter total_frames=%,$(ARGS)),,total_frames=4900)) $(ARGS)
 
 demo: $(STAMP) ## film trained policies that catch food and hold station
 	$(BIN)/fishrl demo $(ARGS)

@@ -123,6 +123,7 @@ UNTRIED = {
     "append the transform that writes it": "tests/envs/test_transforms.py does it",
     "use another one, such as": "of a damaged checkpoint",
     "any more; give": "tests/presets/test_replaced.py composes each",
+    "is a {}: give": "tests/programs/test_configuration.py gives it",
     "has no mirror image; give its": "tests/envs/test_mirror.py gives them to tasks",
 }
 

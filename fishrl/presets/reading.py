@@ -59,6 +59,9 @@ def find_replacement(name: str, known: Sequence[str]) -> ValueError:
     """Return the error for an unknown name, with what replaces it or the nearest known one."""
     if name in REPLACED:
         return ValueError(f"there is no preset '{name}' any more; give {REPLACED[name]}")
+    for group in GROUPS:
+        if name in list_names(group):
+            return ValueError(f"'{name}' is a {group}: give {group}={name}.")
     return unknown(name, known)
 
 

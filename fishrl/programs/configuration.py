@@ -163,9 +163,12 @@ class CommandLine:
         options = split_options(arguments)
         bare = {*self.groups, *self.list_defaults()}
         overrides = [self._as_override(word, bare) for word in options.overrides]
-        named = [word for word in overrides if word.startswith(f"{self.positional}=")]
-        if len(named) > 1:
-            raise ValueError(f"{', '.join(named)}: must be one; run the program once for each")
+        words = [word.lstrip("+") for word in overrides]
+        for key in dict.fromkeys(word.partition("=")[0] for word in words):
+            named = [word for word in words if word.partition("=")[0] == key]
+            if len(named) > 1:
+                more = "; run the program once for each" if key == self.positional else ""
+                raise ValueError(f"{', '.join(named)}: must be one{more}")
         folders = [] if self.conf is None else [self.conf]
         if options.config_dir is not None:
             folders.append(Path(options.config_dir).expanduser().resolve())

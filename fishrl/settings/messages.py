@@ -67,14 +67,15 @@ def suggest(word: str, known: Iterable[str]) -> str:
     """Return ``; did you mean 'x'?`` for the most similar known word, or nothing.
 
     Dotted keys are compared as a whole and by their last part. A short word must be more similar,
-    unless it is part of the known one.
+    unless it is part of the known one, and so must one of another group.
     """
-    tail = word.rpartition(".")[2]
+    group, _, tail = word.rpartition(".")
 
     def rate(other: str) -> tuple[bool, float]:
-        known_tail = other.rpartition(".")[2]
+        known_group, _, known_tail = other.rpartition(".")
         of_tail = SequenceMatcher(None, tail, known_tail).ratio()
         least = 0.6 if len(tail) >= 8 or tail in known_tail else 0.75
+        least = least if group in ("", known_group) else 0.85
         return of_tail >= least, of_tail + SequenceMatcher(None, word, other).ratio()
 
     best = max(known, key=rate, default="")

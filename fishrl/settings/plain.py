@@ -133,6 +133,8 @@ class _Builder:
             self.errors.append(f"{path}: {error}" if path else str(error))
             return None
         entries = {entry.name: entry for entry in list_fields(kind)}
+        # a default of another class may have been expected here
+        self.known = [key for key in self.known if not key.startswith(prefix)]
         self._learn_keys(kind, prefix)
         values: dict[str, Any] = {}
         if TARGET not in node and isinstance(default, Settings):

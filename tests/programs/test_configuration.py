@@ -1,6 +1,7 @@
 """Command lines: what is composed of files and settings, and how mistakes are answered."""
 
 import random
+import re
 from collections.abc import Sequence
 from itertools import permutations
 from pathlib import Path
@@ -68,6 +69,22 @@ def test_malformed_overrides_are_one_line_errors(argument: str) -> None:
     with pytest.raises(ValueError, match=r"\w") as error:
         read([argument])
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["preset=gait_bend", "task.control.rows=1"], "did you mean 'task.control.beat.rows'"),
+        (["task=quick"], "'quick' is a preset: give preset=quick"),
+        (["preset=follower"], "'follower' is a task: give task=follower"),
+        *[([f"{key}=1", "gamma=0.9", f"{prefix}{key}=2"], f"{key}=1, {key}=2: must be one")
+          for key in ("seed", "task.levels", "flows.num_envs") for prefix in ("", "+", "++")],
+        (["preset=quick", "preset=paper"], "preset=quick, preset=paper: must be one"),
+    ],
+)  # fmt: skip
+def test_word_of_another_place_or_given_twice_is_told(words: list[str], said: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(said)):
+        read(words)
 
 
 @pytest.mark.parametrize("argument", ["preset=null", "logger=null", "preset=[quick]"])

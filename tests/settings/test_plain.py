@@ -102,6 +102,11 @@ def test_each_error_has_a_line_with_dotted_key() -> None:
     [
         ({"task": {}, "gap_bl": 1}, "there is no 'gap_bl'; did you mean 'task.gap_bl'?"),
         ({"task": {}, "siz": 1}, "there is no 'siz'; did you mean 'task.line.size'?"),
+        ({"task": {"colour": 1}}, "there is no 'task.colour'; did you mean 'task.line.colour'?"),
+        (
+            {"task": {}, "logger": {"size": 1, "gaps": 3}},
+            "there is no 'logger.gaps'. There is: size, names, parts",
+        ),
         ({"task": {}, "xyz": 1}, "there is no 'xyz'. There is: task, logger, seed"),
         ({}, "task: has no default, so it must be given"),
         ({"task": None}, "task = None: must be Task(...)"),
