@@ -4,8 +4,10 @@ import csv
 import io
 import logging
 import math
+import os
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +38,9 @@ class CsvLogger:
     """
 
     _path: Path | None = None
+
+    def check(self) -> None:
+        """Raise ValueError or ImportError, before all that is slow, for what ``open`` lacks."""
 
     def open(
         self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
@@ -111,7 +116,7 @@ class WandbLogger(CsvLogger):
         is_offline: write below the run folder and upload nothing; ``wandb sync`` does so later.
             Otherwise the variable ``WANDB_MODE`` decides.
 
-    ``open`` raises ValueError where Weights & Biases refuses the run, as without an API key.
+    ``check`` and ``open`` raise ValueError where Weights & Biases refuses, as without an API key.
     """
 
     _run: Any = None
@@ -119,11 +124,19 @@ class WandbLogger(CsvLogger):
     def __init__(self, *, project: str = "fishrl", is_offline: bool = False) -> None:
         self.project, self.is_offline = project, is_offline
 
+    def check(self) -> None:
+        """Log in, unless nothing is uploaded."""
+        import wandb
+
+        if not self.is_offline and os.environ.get("WANDB_MODE", "online") == "online":
+            with _refusing():
+                wandb.login()
+
     def _begin(self, folder: Path, *, config: Mapping[str, Any], step: int) -> None:
         import wandb
 
         identity = folder / "wandb_id"  # which a resumed run keeps
-        try:
+        with _refusing():
             self._run = wandb.init(
                 project=self.project,
                 name=folder.name,
@@ -134,11 +147,6 @@ class WandbLogger(CsvLogger):
                 resume="allow",
                 settings=wandb.Settings(console="off"),  # or it would log the bar's moves
             )
-        except wandb.errors.Error as error:
-            said = str(error).strip().rstrip(".")
-            raise ValueError(
-                f"Weights & Biases: {said}; or set logger.is_offline=true, or WANDB_MODE=offline"
-            ) from error
         write_whole(identity, self._run.id)  # an agent has its own
 
     def _send(self, measured: Mapping[str, float], *, step: int) -> None:
@@ -147,3 +155,16 @@ class WandbLogger(CsvLogger):
     def _end(self) -> None:
         if self._run is not None:
             self._run.finish()  # else the next one in this process would be the same
+
+
+@contextmanager
+def _refusing() -> Iterator[None]:
+    import wandb
+
+    try:
+        yield
+    except wandb.errors.Error as error:
+        said = str(error).strip().rstrip(".")
+        raise ValueError(
+            f"Weights & Biases: {said}; or set logger.is_offline=true, or WANDB_MODE=offline"
+        ) from error

@@ -108,6 +108,8 @@ class Opened:
             raise ValueError(f"run folder {self.folder.path}: is finished; raise total_frames")
         if plan.ray_collectors:
             _check_cluster(plan)
+        if plan.logger is not None:
+            plan.logger.check()
         check_device(plan.flows.device)
         check_device(plan.policy_device)
         for device, parts in self.count_bytes().items():

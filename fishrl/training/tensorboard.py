@@ -11,14 +11,19 @@ from fishrl.training.logger import CsvLogger
 class TensorboardLogger(CsvLogger):
     """TensorBoard's event files in the run folder, in addition to the CSV file.
 
-    ``open`` raises ImportError if tensorboard is not installed.
+    ``check`` raises ImportError if tensorboard is not installed.
     """
 
     _writer: Any = None
 
-    def _begin(self, folder: Path, *, config: Mapping[str, Any], step: int) -> None:
+    def check(self) -> None:
+        """Import tensorboard."""
         with needing("tensorboard", "logger=tensorboard"):
-            from torch.utils.tensorboard import SummaryWriter
+            import torch.utils.tensorboard  # noqa: F401
+
+    def _begin(self, folder: Path, *, config: Mapping[str, Any], step: int) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
         # later steps of earlier files are hidden
         self._writer = SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
 

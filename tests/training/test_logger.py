@@ -94,13 +94,20 @@ def test_resumed_run_keeps_its_wandb_id(tmp_path: Path, monkeypatch: pytest.Monk
     assert {path.name for path in recorded} == {"run-agentsid.wandb"}
 
 
-def test_wandb_has_its_mode_and_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wandb_has_its_mode_and_key(
+    toy: Toy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("WANDB_SILENT", "true")
     for name, value in (("HOME", str(tmp_path)), ("NETRC", str(tmp_path / "none"))):
         monkeypatch.setenv(name, value)  # without the user's key
     monkeypatch.delenv("WANDB_API_KEY", raising=False)
-    with pytest.raises(ValueError, match=r"^Weights & Biases: No API key .*; or set logger"):
-        open_and_close(tmp_path, is_offline=False)
+    for refused in (
+        lambda: open_and_close(tmp_path, is_offline=False),
+        lambda: toy.begin(name="run", logger=WandbLogger()),
+    ):
+        with pytest.raises(ValueError, match=r"^Weights & Biases: No API key .*; or set logger"):
+            refused()
+    assert not (tmp_path / "run").exists()
     for mode, num_recorded in (("disabled", 0), ("offline", 1)):
         monkeypatch.setenv("WANDB_MODE", mode)
         open_and_close(tmp_path, is_offline=False)

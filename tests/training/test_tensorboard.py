@@ -39,4 +39,4 @@ def test_run_is_read_without_tensorboard(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     logger = build(CsvLogger, describe(TensorboardLogger()))
     with pytest.raises(ImportError, match="logger=tensorboard needs packages: pip install"):
-        logger.open(tmp_path, columns=COLUMNS, config={})
+        logger.check()
