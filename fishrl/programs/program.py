@@ -18,8 +18,10 @@ import json
 import logging
 import os
 import re
+import select
 import shlex
 import shutil
+import signal
 import sys
 import sysconfig
 import traceback
@@ -273,7 +275,10 @@ def plain_errors() -> Iterator[None]:
     """
     try:
         yield
+        sys.stdout.flush()
     except (ValueError, ImportError, OSError) as error:
+        if isinstance(error, BrokenPipeError) and _is_unread():
+            sys.exit(128 + signal.SIGPIPE)
         if os.environ.get("FISHRL_DEBUG"):
             raise
         said = "\n".join([f"error: {error}{_find_line(error)}", *getattr(error, "__notes__", ())])
@@ -281,6 +286,16 @@ def plain_errors() -> Iterator[None]:
     except KeyboardInterrupt as end:
         print("interrupted", file=sys.stderr)
         sys.exit(exit_status(end))
+
+
+def _is_unread() -> bool:
+    """Return whether nobody reads the output any more, as after ``head``, and then drop it."""
+    pipe = select.poll()
+    pipe.register(sys.stdout, 0)
+    is_unread = any(event & select.POLLERR for _, event in pipe.poll(0))
+    if is_unread:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return is_unread
 
 
 def _find_line(error: Exception) -> str:

@@ -146,7 +146,7 @@ def main(
     save: Annotated[str, ending_in(".rrd", *DRAWN)] | None = None,
     zoom: Annotated[float, Field(ge=1)] = 1.0,
     seconds_per_T: PositiveFloat | None = None,
-    screenshot: str | None = None,
+    screenshot: Annotated[str, ending_in(".png")] | None = None,
     time: NonNegativeFloat | None = None,
     preset: str | None = None,
     **given: Any,

@@ -95,6 +95,21 @@ def test_error_in_user_file_names_its_line(tmp_path: Path, monkeypatch: pytest.M
     assert place not in str(stop.value)
 
 
+@pytest.mark.parametrize("num_lines", [1, 100_000])
+def test_program_whose_output_nobody_reads_any_more_ends_quietly(num_lines: int) -> None:
+    script = (
+        "from fishrl.programs.program import plain_errors\n"
+        "with plain_errors():\n"
+        f"    for line in range({num_lines}): print(line)\n"
+    )
+    command = [sys.executable, "-c", script]
+    done = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert done.stdout is not None and done.stderr is not None
+    done.stdout.close()
+    assert done.stderr.read() == b""
+    assert done.wait() == 141  # as of a program that SIGPIPE ends
+
+
 def test_advised_commands_run_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     place = tmp_path / "my clone" / ".venv" / "bin"
     place.mkdir(parents=True)

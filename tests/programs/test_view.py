@@ -113,6 +113,7 @@ def test_recording_stays_if_viewer_fails(tmp_path: Path, monkeypatch: pytest.Mon
             ["policy=pid", "save=x.avi"],
             r"save = .x\.avi.: must be a file that ends in one of \.rrd",
         ),
+        (["policy=pid", "screenshot=y.jpg"], r"screenshot = .y\.jpg.: must be .* \.png"),
         (["policy=pid", "zoom=2", "save=x.rrd"], "error: zoom, seconds_per_T: of a film"),
         (["policy=pid", "time=3", "save=x.png"], r"error: time = 3: of screenshot.* periods=3"),
         (
