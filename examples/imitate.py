@@ -212,7 +212,7 @@ def main() -> None:
     write_csv(folder / "metrics.csv", ("frames", "mean_length_T", "loss"), rounds)
     longer = replace(lesson.task, time_limit=321)
     result = evaluate(folder, task=longer, episodes=24, flows=Flows(num_envs=12))
-    write_json(folder / "summary.json", result)
+    write_json(folder / "summary.json", result | {"teacher": chosen.teacher})
     share = find_share(round(24 * result["success_rate"]), 24).show(".0%")
     print(f"{folder} lasts 40 T: {share}, {result['mean_length_T']:.1f} T on average")
 

@@ -52,9 +52,9 @@ class Version:
         return make_task(self.name)
 
     def hold_out(
-        self, split: str, *, num_stacked: int | None = None
+        self, split: str, *, task: AbstractTask | None = None
     ) -> tuple[AbstractTask, TensorDictBase]:
-        """Return task and starts ``[E]`` of a split; ``num_stacked`` as the policy needs it.
+        """Return task and starts ``[E]`` of a split; ``task`` has what is ``FREE``.
 
         Raises:
             ValueError: for an unknown split, and where settings or starts are not as frozen.
@@ -62,11 +62,11 @@ class Version:
         if split not in SPLITS:
             raise unknown(split, list(SPLITS))
         self._check("settings", sum_settings(self.task), self.settings)
-        task = make_task(self.name, **self.held_out)
+        task = replace(task or self.task, **self.held_out)
         starts = task.starts_from(read_draws(split)[:, : task.num_draws])
         task.check_starts(starts)
         self._check(f"starts of {split}", sum_starts(starts), self.starts[split])
-        return task if num_stacked is None else replace(task, num_stacked=num_stacked), starts
+        return task, starts
 
     def _check(self, what: str, found: str, wanted: str) -> None:
         if found != wanted:

@@ -112,14 +112,15 @@ def find_policy(policy: str, version: Version, *, trust: bool) -> Scored:
                 "a run is given with its folder, runs/<name>, an archive with its .zip"
             )
         return Scored("baseline", policy, decisions=0)
-    plan = load_plan(policy)
+    plan, result = load_plan(policy), read_result(policy)
+    helps = {"initial_policy": plan.initial_policy, "teacher": result.get("teacher")}
     return Scored(
         "run",
         policy,
         plan.task.num_stacked,
-        read_result(policy).get("frames", Checkpoint.find(policy).frames),
+        result.get("frames", Checkpoint.find(policy).frames),
         None if plan.recognition is None else type(plan.recognition).__name__,
-        compare(plan.task, task) + ["initial_policy"] * (plan.initial_policy is not None),
+        compare(plan.task, task) + [name for name, given in helps.items() if given is not None],
     )
 
 
@@ -157,8 +158,8 @@ def score(
 
     Args:
         policy: see ``fishrl score --help``.
-        task: a frozen task, ``station-v1``; none of its settings may be changed but
-            ``num_stacked``, which a function may need.
+        task: a frozen task, ``station-v1``; none of its settings may be changed but those in
+            ``FREE``, such as ``num_stacked``, which a function may need.
         split: ``test``, or ``validation`` for choosing among policies.
         name: name of the policy in the table; by default ``policy``. Baselines keep theirs.
         trust: whether to load an archive of Stable-Baselines3, which runs code from it.
@@ -172,7 +173,8 @@ def score(
     version = identify(task)
     found = find_policy(policy, version, trust=trust)
     check_name(name or policy, found.kind, task)
-    held_out, starts = version.hold_out(split, num_stacked=found.num_stacked or task.num_stacked)
+    task = replace(task, num_stacked=found.num_stacked or task.num_stacked)
+    held_out, starts = version.hold_out(split, task=task)
     flows = replace(flows, num_envs=min(flows.num_envs, len(starts)))
     commit = read_revision()
     begun = sum(os.times()[:4])  # with processes that have ended, as the flows' have below

@@ -62,6 +62,9 @@ def test_streams_of_the_test_are_not_those_of_training() -> None:
 def test_task_is_known_by_its_settings_but_for_what_a_policy_may_choose() -> None:
     task = make_task("station-v1", num_stacked=16, stream={"wake_folder": "elsewhere"})
     assert identify(task).name == "station-v1"
+    held_out, _ = identify(task).hold_out("test", task=task)
+    assert (held_out.num_stacked, held_out.stream.wake_folder) == (16, "elsewhere")
+    assert held_out.time_limit == 321
     with pytest.raises(ValueError, match=r"differs from station-v1 in safe_area\.aside_bl: leave"):
         identify(make_task("station-v1", safe_area={"aside_bl": 1.3}))
     with pytest.raises(ValueError, match="did you mean 'station-v1'"):

@@ -60,6 +60,8 @@ def test_row_says_that_a_policy_began_as_another(monkeypatch: pytest.MonkeyPatch
     assert key not in find_policy("zoo/gait_bend", version, trust=False).differs
     monkeypatch.setattr("fishrl.programs.score.load_plan", lambda _: replace(plan, **{key: "x"}))
     assert key in find_policy("zoo/gait_bend", version, trust=False).differs
+    monkeypatch.setattr("fishrl.programs.score.read_result", lambda _: {"teacher": "zoo/other"})
+    assert "teacher" in find_policy("zoo/gait_bend", version, trust=False).differs
 
 
 def test_row_has_the_decisions_of_the_training_not_those_of_its_best_checkpoint() -> None:
