@@ -17,6 +17,7 @@ PAGES = [
 FENCE = re.compile(r"^```(python|yaml)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"<!-- file: (\S+) -->")
 SMALLER = re.compile(r'<!-- tests: "(.*)" -> "(.*)" -->')
+ALWAYS = re.compile(r'<!-- all tests: "(.*)" -> "(.*)" -->')
 
 
 class Block(NamedTuple):
@@ -25,7 +26,8 @@ class Block(NamedTuple):
     Attributes:
         language: python or yaml.
         code: as the reader sees it.
-        small: as the tests run it, after ``<!-- tests: "this" -> "that" -->`` above the block.
+        small: as the tests run it, after ``<!-- tests: "this" -> "that" -->`` above the block, or
+            ``all tests`` anywhere.
         file: name to store it under, from ``<!-- file: name -->``, if any.
     """
 
@@ -45,6 +47,8 @@ def read_blocks(page: str) -> list[Block]:
         small = code
         for old, new in SMALLER.findall(before):
             assert old in small, f"{page}: {old!r} is in no code after this comment"
+            small = small.replace(old, new)
+        for old, new in ALWAYS.findall(text):
             small = small.replace(old, new)
         named = FILE.search(before)
         blocks.append(Block(language, code, small, named.group(1) if named else None))
