@@ -104,9 +104,9 @@ class AbstractTask(Settings, ABC):
         self.flow_config()  # raises if the domain is too small for the fish
         if self.wall_margin < least:
             raise ValueError(
-                f"wall_margin_bl = {self.wall_margin_bl} is {self.wall_margin:.1f} nodes: must be "
-                f"{least:.1f} or more, as markers move between two checks; raise it to at least "
-                f"{ceil(1e3 * least / self.body_length) / 1e3:g}, or raise checks_per_action"
+                f"wall_margin_bl = {self.wall_margin_bl} is {self.wall_margin:.2f} nodes: must be "
+                f"{least + 0.005:.2f} or more, as markers move between two checks; raise it to at "
+                f"least {ceil(1e3 * least / self.body_length) / 1e3:g}, or raise checks_per_action"
             )
 
     def __getstate__(self) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import SequenceMatcher
 from enum import Enum
 from inspect import isabstract
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 
 def explain(name: str, errors: list[Any], *, value: Any, known: Mapping[str, Any]) -> str:
@@ -35,7 +35,8 @@ def _say(error: Any, hint: Any) -> str:
             f"be {' or '.join(members)}" if members else str(error["msg"]).partition(" should ")[2]
         )
     if error["type"] == "tuple_type" and isinstance(error["input"], int | float | str):
-        return f"be a list, such as [{error['input']}]"
+        given = [str(error["input"]).strip("()[]")] * _count_entries(hint)
+        return f"be a list, such as [{', '.join(given)}]"
     if error["type"] == "value_error":  # of a validator, which completes "must be ..."
         return f"be {error['ctx']['error']}"
     said = str(error["msg"]).partition(" should ")[2]
@@ -53,9 +54,19 @@ def _list_members(hint: Any, name: str) -> Iterator[str]:
     if isinstance(hint, type) and hint.__name__ == name:
         if issubclass(hint, Enum):
             yield from (f"{name}.{member.name}" for member in hint)
-        for kind in [hint, *hint.__subclasses__()]:
+        kinds = [hint]
+        for kind in kinds:
+            kinds += kind.__subclasses__()
             if hasattr(kind, "__pydantic_fields__") and not isabstract(kind):
                 yield f"{kind.__name__}(...)"
+
+
+def _count_entries(hint: Any) -> int:
+    """Return how many entries the lists of an annotation have, 1 where any number will do."""
+    parts = get_args(hint)
+    if get_origin(hint) is tuple:
+        return 1 if ... in parts else len(parts)
+    return max(map(_count_entries, parts), default=1)
 
 
 def _show(value: Any) -> str:

@@ -149,8 +149,10 @@ def plan_jobs(arguments: Sequence[str]) -> tuple[Launch, list[Job]]:
     folder = split_options(arguments).config_dir
     launch = Launch(() if folder is None else ("--config-dir", folder), keys)
     lines = [[f"{key}={value}" for value in values] for key, values in choices.items()]
-    every = [*itertools.product(*lines)]
-    names = Counter(map(launch.name, set(every)))
+    every = [*dict.fromkeys(itertools.product(*lines))]
+    if not every:
+        raise ValueError("a setting has no values to sweep over")
+    names = Counter(map(launch.name, every))
     launch = replace(launch, shared=frozenset(name for name in names if names[name] > 1))
     return launch, [launch.plan(job) for job in every]
 
