@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 import torch
@@ -110,6 +110,8 @@ def test_field_of_some_flows_is_that_of_all() -> None:
 
 class AcrossStream(Predation):
     """Food in a stream along +y, set by the boundaries alone."""
+
+    max_stream_speed_bl: ClassVar[float] = 0.5
 
     def flow_config(self) -> FlowConfig:
         stream = NonEquilibrium(velocity=(0.0, 1.0))
