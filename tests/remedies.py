@@ -147,7 +147,6 @@ FLOWS: list[tuple[Any, ...]] = [
         Boundaries(left=NonEquilibrium(velocity=(1.0, 0.0))),
         FAST,
     ),
-    (lambda tau: flow(tau=1.0, sponges=(TOP(length=4, tau=tau),)), 0.6, 1.5),
     (partial(compute_tau, length=24.0, speed=0.07), "reynolds", 20000.0, 1000.0),
     (partial(compute_tau, speed=0.1, reynolds=1.0), "length", 24.0, 2.0),
     (partial(Scales, body_length=100, reynolds=7000.0), "period", 400, 800),

@@ -93,8 +93,6 @@ def make_env(
     """
     if isinstance(task, str):
         task = make_task(task)
-    if not isinstance(task, AbstractTask):
-        raise ValueError(f"task = {task!r}: must be an instance of a task, such as Predation()")
     if recognition is not None:
         task = recognition.check(task)
 

@@ -35,7 +35,7 @@ class Sponge(Settings):
 
     Args:
         length: width of the strip, nodes.
-        tau: relaxation time at the edge itself.
+        tau: relaxation time at the edge itself; that of the flow where it is larger.
         side: which edge.
     """
 
@@ -104,11 +104,6 @@ class FlowConfig(Settings):
             )
         self.boundaries.check_balance(self.width, self.height)
         for sponge in self.sponges:
-            if sponge.tau < self.tau:
-                raise ValueError(
-                    f"Sponge of tau = {sponge.tau:g} in a flow of {self.tau:g}: its viscosity must "
-                    "be larger; raise tau of the sponge"
-                )
             if sponge.length > (self.width if sponge.side.value[0] else self.height):
                 raise ValueError(
                     f"Sponge of {sponge.length} nodes does not fit into {self.width} x "
@@ -286,7 +281,7 @@ class FlowConfig(Settings):
             nx, ny = sponge.side.value
             depth = x * nx + y * ny + (nx < 0) * (self.width - 1) + (ny < 0) * (self.height - 1)
             weight = torch.sin(0.5 * pi * (1.0 - depth / sponge.length).clamp(0.0)) ** 2
-            field = field + (sponge.tau - field) * weight.to(field)
+            field = field + (sponge.tau - field).clamp_min(0.0) * weight.to(field)
         return 1.0 / field
 
 

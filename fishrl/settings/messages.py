@@ -30,7 +30,9 @@ def explain(name: str, errors: list[Any], *, value: Any, known: Mapping[str, Any
 def _say(error: Any, hint: Any) -> str:
     """Return the condition that a value violates, such as ``be greater than 0``."""
     if error["type"] == "is_instance_of":
-        members = list(_list_members(hint, error["ctx"]["class"]))
+        if isinstance(error["input"], type):
+            return f"be an object, such as {error['input'].__name__}(...)"
+        members = dict.fromkeys(_list_members(hint, error["ctx"]["class"]))
         return (
             f"be {' or '.join(members)}" if members else str(error["msg"]).partition(" should ")[2]
         )
@@ -57,7 +59,8 @@ def _list_members(hint: Any, name: str) -> Iterator[str]:
         kinds = [hint]
         for kind in kinds:
             kinds += kind.__subclasses__()
-            if hasattr(kind, "__pydantic_fields__") and not isabstract(kind):
+            is_public = hasattr(kind, "__pydantic_fields__") and not kind.__name__.startswith("_")
+            if is_public and not isabstract(kind):
                 yield f"{kind.__name__}(...)"
 
 

@@ -167,5 +167,5 @@ def test_one_hot_action_and_task_class_are_refused() -> None:
     for action in (one_hot, one_hot[0, :2].float()):
         with pytest.raises(ValueError, match=r"integers of shape \(2,\).*OneHotAction"):
             env.step(env.reset().set("action", action))
-    with pytest.raises(ValueError, match="must be an instance of a task"):
+    with pytest.raises(ValueError, match=r"must be an object, such as MaskedTask\(\.\.\.\)"):
         make_env(task=MaskedTask, flows=Flows(num_envs=1))  # type: ignore[arg-type]

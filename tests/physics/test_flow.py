@@ -12,9 +12,10 @@ from fishrl.physics.flow import change_stream_speed, compute_stream_speed, make_
 
 def test_a_sponge_raises_tau_smoothly_towards_its_edge_alone() -> None:
     config = FlowConfig(width=40, height=10, tau=0.52, sponges=(Sponge(length=15, tau=1.0),))
-    tau = 1.0 / config.compute_omega(torch.tensor([0.52, 0.6]))
-    assert tau.shape == (2, 10, 40)
-    torch.testing.assert_close(tau[:, 3, -1], torch.ones(2).double())
+    tau = 1.0 / config.compute_omega(torch.tensor([0.52, 0.6, 1.5]))
+    assert tau.shape == (3, 10, 40)
+    torch.testing.assert_close(tau[:2, 3, -1], torch.ones(2).double())
+    torch.testing.assert_close(tau[2], torch.full((10, 40), 1.5).double())
     torch.testing.assert_close(tau[0, :, :24], torch.full((10, 24), 0.52).double())
     assert (tau[0, 0, 24:].diff() > 0).all()
 
