@@ -21,7 +21,7 @@ from fishrl.envs import AbstractTask
 from fishrl.programs.program import Program, read_arguments, write_value
 from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import REQUIRED, Role, Settings, list_fields, to_plain
-from fishrl.settings.base import find_schema
+from fishrl.settings.base import Arguments, find_schema
 from fishrl.training.algorithms.algorithm import find_algorithms
 from fishrl.training.logger import CsvLogger
 
@@ -139,8 +139,9 @@ def show_signature(kind: type) -> str:
 
 def _list_below(base: type[Any]) -> Iterator[type[Any]]:
     for kind in base.__subclasses__():
-        yield kind
-        yield from _list_below(kind)
+        if kind is not Arguments:  # of functions
+            yield kind
+            yield from _list_below(kind)
 
 
 def _find_section(kind: type) -> str:

@@ -214,6 +214,10 @@ def find_schema(
     return type(called.__name__, bases, body)
 
 
+class Arguments(Settings):
+    """Base of the classes whose fields are the arguments of a function that checks them."""
+
+
 def checked(function: Callable[P, R]) -> Callable[P, R]:
     """Let a function check its arguments by their annotations, as settings check their fields.
 
@@ -224,10 +228,8 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        bound, schema = (
-            signature.bind(*args, **kwargs),
-            find_schema(function, without=("self", "cls")),
-        )
+        bound = signature.bind(*args, **kwargs)
+        schema = find_schema(function, without=("self", "cls"), bases=(Arguments,))
         fields, given = schema.__pydantic_fields__, bound.arguments
         schema(**{name: value for name, value in given.items() if name in fields})
         for name, value in given.items():
