@@ -117,7 +117,7 @@ def list_stages(scale: Scale, folder: Path) -> Iterator[Stage]:
     yield Stage(
         name="classifier",
         words=(
-            *("train-lateral-line", "paper_epochs=1000", *scale.lateral_line),
+            *("train-lateral-line", *scale.lateral_line),
             *(f"folder={quote(str(folder))}", "name=classifier"),
         ),
     )

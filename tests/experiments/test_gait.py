@@ -45,8 +45,8 @@ def make_classifier(path: Path, task: KarmanGait | None = None) -> Classifier:
 
 
 def run(folder: Path, *overrides: str, **settings: object) -> dict[str, Any]:
-    config = TRAINING.read([*SETTINGS, f"folder={folder}", *overrides])
-    config = replace(config, **settings)
+    words = {word.partition("=")[0]: word for word in (*SETTINGS, *overrides)}
+    config = replace(TRAINING.read([*words.values(), f"folder={folder}"]), **settings)
     return complete(Training(open_run(config), callbacks=[RunCallback(config, SILENT)]))
 
 
