@@ -46,7 +46,7 @@ ALGORITHMS = {
 }
 #: Policies of the zoo by their task: name, and title of the card.
 ZOO = {
-    "predation-v1": ("predation", "Predation, food on drawn paths, by commanded turns"),
+    "predation-v1": ("predation_drawn", "Predation, food on drawn paths, by commanded turns"),
     "predation-bend-v1": ("predation_bend", "Predation, food on drawn paths, by bending"),
     "streets-v1": (
         "gait_bend_streets",

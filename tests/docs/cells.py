@@ -8,12 +8,6 @@ from dataclasses import astuple
 from studies.tables import read_data
 from tests.docs.page_numbers import *
 
-AS_TRAINED = "as trained, % of 96"
-DRAWN = scatter(
-    column("predation", "memory", "captured of 96, %", observations_that_the_policy_sees="4")
-)
-BENT = column("predation", "bend", AS_TRAINED)[:5]
-GUIDED = column("predation", "held_out", AS_TRAINED, policy="interception, which knows the path")
 PAIR = {who: read_data("predation", "pair")[row] for row, who in enumerate(("learned", "pursuit"))}
 PAPER = {
     row["part, L = 100"].split(",")[0]: row["ours"] for row in read_data("reproduction", "paper")
@@ -72,8 +66,15 @@ CELLS: dict[tuple[str, ...], Callable[[], Numbers]] = {
     (RESULTS, "[Predation](tasks/predation.md), L = 50: food captured"): lambda: [
         *(*scatter(BY_SKIN[:3]), BY_SKIN[4], BY_SKIN[6], BY_SKIN[3])
     ],
-    (RESULTS, "the same, paths of the food drawn, L = 32"): lambda: [*DRAWN, *GUIDED, 5],
-    (RESULTS, "the same, and the fish turns itself, L = 32"): lambda: [*BENT[:4], 3],
+    **{
+        (RESULTS, f"the same, {words}, L = 64"): lambda task=task: [
+            *(*scatter(lasting(task)), *scored(task, "intercept"), *scored(task, "random"), 3)
+        ]
+        for words, task in (
+            ("paths of the food drawn", "predation-v1"),
+            ("and the fish turns itself", "predation-bend-v1"),
+        )
+    },
     (
         RESULTS,
         "[Senses](tasks/senses.md): the fish turns itself, L = 32; episodes that last 41 T",
@@ -125,11 +126,16 @@ CELLS: dict[tuple[str, ...], Callable[[], Numbers]] = {
         *column("karman_gait", "L100_ablation", "survival, T"),
         *sharp("duration, T", HELD),
     ],
-    (PREDATION, "food on drawn paths", "32"): lambda: [
-        *(*DRAWN, 5, *GUIDED),
-        *column("predation", "held_out", AS_TRAINED, policy="pursuit"),
-    ],
-    (PREDATION, "the same, the fish turns itself", "32"): lambda: [*BENT[:3], 3, *BENT[3:]],
+    **{
+        (PREDATION, words, "64"): lambda arm=arm, task=task: [
+            *(*lasting(task), 3, *scored(task, "intercept"), *catch(f"{arm}-pursuit")),
+            *scored(task, "random"),
+        ]
+        for words, arm, task in (
+            ("food on drawn paths, 2 levels", "turn", "predation-v1"),
+            ("the same, the fish turns itself", "bend", "predation-bend-v1"),
+        )
+    },
     (PREDATION, "paper's path, immersed boundary", "50"): lambda: [
         *column("predation", "small", "learned, %"),
         3,

@@ -134,25 +134,17 @@ NAMED: dict[str, dict[str, Callable[[], Numbers]]] = {
             *scatter(find_row(PREDATION, "food on the paper's path", "50")[:3]),
             *scatter(column("predation", "small", "learned, %")),
         ],
-        "A memory of four observations adds # points to one of the latest alone, 95 % "
+        "a memory of four observations adds # points to one of the latest alone, 95 % "
         "interval [#, #]: not resolved": lambda: compare(
             *(column("predation", "memory", "captured of 96, %")[part] for part in ARMS)
         ),
-        "Five other policies, # ± # % as trained, capture the food from # ± # % (interception "
-        "# %) on paths tilted more than in any training, and from # ± # % if it is faster "
-        "(# %)": lambda: (
-            [*scatter(column("predation", "held_out", TRAINED, policy="learned, 4 observations"))]
-            + [
-                number
-                for name in ("tilted more, % of 96", "faster, % of 96")
-                for number in (
-                    *scatter(
-                        column("predation", "held_out", name, policy="learned, 4 observations")
-                    ),
-                    column("predation", "held_out", name, policy=GUIDE)[0],
-                )
-            ]
-        ),
+        "capture the food from # ± # % of the starts (interception # %) on paths tilted more than "
+        "in training, and from # ± # % if it is faster (# %); by bending from # ± # and # ± # "
+        "%": lambda: [
+            *(*scatter(catch("turn-4", "tilted")), *catch("turn-intercept", "tilted")),
+            *(*scatter(catch("turn-4", "faster")), *catch("turn-intercept", "faster")),
+            *(*scatter(catch("bend-4", "tilted")), *scatter(catch("bend-4", "faster"))),
+        ],
     },
     README: {
         "# cases, # of them with criteria from published results; # of # acceptance criteria "

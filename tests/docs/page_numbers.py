@@ -11,6 +11,7 @@ from scipy import stats
 from fishrl.benchmark import Row, list_rows
 from fishrl.programs.statistics import Interval, find_mean
 from studies.blind_by_reward.sweep import choose_rule, read_scores
+from studies.drawn_paths.paths import read_shares
 from studies.tables import read_data
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -219,6 +220,11 @@ def score(task: str) -> float:
 def lasting(task: str, policy: str = "discrete_sac") -> list[float]:
     """Return the shares of the benchmark's starts from which they succeed, %."""
     return [100.0 * row.metrics["success_rate"] for row in list_scored(task, policy)]
+
+
+def catch(arm: str, paths: str = "as trained") -> list[float]:
+    """Return the shares of starts with a capture on drawn paths, of each seed, %."""
+    return [*read_shares(arm, paths).values()]
 
 
 def last(policy: str, senses: str) -> list[float]:
