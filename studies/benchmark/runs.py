@@ -2,7 +2,7 @@
 
     python studies/benchmark/runs.py station-v1 ppo 0    # continues a run
     python studies/benchmark/runs.py table               # into docs/benchmark.md
-    python studies/benchmark/runs.py keep predation-v1   # of all seeds in runs/benchmark, for the zoo
+    python studies/benchmark/runs.py keep predation-v1   # the best seed in runs/benchmark
 """
 
 import argparse
@@ -44,12 +44,12 @@ ALGORITHMS = {
     "ppo": (PPO(), {}),
     "sac": (SAC(), SAC_LIKE),
 }
-#: Policies of the zoo by their task: name, and title of the card.
-ZOO = {
-    "predation-v1": ("predation_drawn", "Predation, food on drawn paths, by commanded turns"),
-    "predation-bend-v1": ("predation_bend", "Predation, food on drawn paths, by bending"),
+#: Folder of the policy that is kept of a task, in ``studies``, and title of its card.
+KEPT = {
+    "predation-v1": ("drawn_paths/policies/turn", "Predation, food on drawn paths, by commanded turns"),
+    "predation-bend-v1": ("drawn_paths/policies/bend", "Predation, food on drawn paths, by bending"),
     "streets-v1": (
-        "gait_bend_streets",
+        "many_streets/policies/line",
         "Kármán gait by bending, blind, with its lateral line, in streets that differ",
     ),
 }
@@ -151,13 +151,13 @@ def run(name: str, algorithm: str, seed: int) -> None:
 
 
 def keep(name: str) -> None:
-    """Write the seed that scores best on the validation as one of the zoo, scored on the test."""
-    task, (called, title) = make_task(name), ZOO[name]
+    """Keep the policy of the seed that scores best on the validation, with its score on the test."""
+    task, (place, title) = make_task(name), KEPT[name]
     runs = sorted(path for path in FOLDER.glob(f"{name}-discrete_sac-[0-9]"))
     values = {run: score(str(run), task=task, split="validation").value for run in runs}
     best = max(runs, key=lambda run: values[run])
     row = score(str(best), task=task)
-    folder = export_policy(best, Path("runs/zoo") / called, title=title, revision=row.commit)
+    folder = export_policy(best, Path(__file__).parents[1] / place, title=title, revision=row.commit)
     write_json(folder / "summary.json", {**row.metrics, "version": name})
     card = folder / "README.md"
     words = f"On the {row.metrics['episodes']} test starts of `{name}`; best of {len(runs)} seeds on the validation:"
