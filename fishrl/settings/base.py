@@ -222,7 +222,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     """Let a function check its arguments by their annotations, as settings check their fields.
 
     It gets what the caller gave, NumPy's numbers as Python's; ``*args`` and ``**kwargs`` are not
-    checked.
+    checked. The errors are Python's, and ValueError with a line per wrong argument.
     """
     signature = inspect.signature(function)
 

@@ -84,7 +84,7 @@ def test_invalid_return_value_is_named(member: str, gives: Any, said: str) -> No
 
 @pytest.mark.parametrize(("speed_bl", "most_bl"), [(0.2, 0.2), (0.7, 0.7), (0.02, 0.0)])
 @pytest.mark.parametrize("when", ["flow_config", "place_"])
-def test_stream_in_another_unit_is_told_before_the_first_step(
+def test_stream_in_another_unit_is_refused_before_the_first_step(
     speed_bl: float, most_bl: float, when: str
 ) -> None:
     """Also one that the task does not name, although it may set T."""
@@ -126,7 +126,7 @@ POINT, POINTS = (2, 2), (2, 3, 2)
         ({"curves": (Curve(key="it", colour=(0, 0, 0)),)}, POINTS, (2, 5, 3)),
     ],
 )
-def test_shape_of_what_is_drawn_is_told_before_the_first_step(
+def test_shape_of_what_is_drawn_is_refused_before_the_first_step(
     parts: dict[str, Any], right: tuple[int, ...], wrong: tuple[int, ...]
 ) -> None:
     def make(shape: tuple[int, ...]) -> AbstractTask:
@@ -161,7 +161,7 @@ class _Live(MaskedTask, HasHistory):
 
 @pytest.mark.parametrize("num_envs", [1, 2])
 def test_measurement_of_tensors_that_change_in_place_is_kept(num_envs: int) -> None:
-    told = []
+    noted = []
     for copies in (False, True):
         env = FlowEnv(
             task=_Live(**BRIEF, copies=copies), flows=Flows(num_envs=num_envs, compile=False)
@@ -169,13 +169,13 @@ def test_measurement_of_tensors_that_change_in_place_is_kept(num_envs: int) -> N
         first, state = env.now, env.reset()
         for action in (1, 0, 1):
             state = env.step(state.set("action", torch.full((num_envs,), action)))["next"]
-            told.append((first.clone(), env.now.clone(), state["reward"].clone()))
+            noted.append((first.clone(), env.now.clone(), state["reward"].clone()))
     pairs = [
-        pair for both in zip(told[:3], told[3:], strict=True) for pair in zip(*both, strict=True)
+        pair for both in zip(noted[:3], noted[3:], strict=True) for pair in zip(*both, strict=True)
     ]
     assert all((live == copied).all() for live, copied in pairs)
-    assert all(reward.abs().min() > 0.1 for *_, reward in told)
-    assert (told[0][1]["felt"].diff(dim=1) != 0.0).any(-1).all()
+    assert all(reward.abs().min() > 0.1 for *_, reward in noted)
+    assert (noted[0][1]["felt"].diff(dim=1) != 0.0).any(-1).all()
 
 
 @pytest.mark.parametrize("name", ["arrived", "success"])

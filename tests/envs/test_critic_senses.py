@@ -63,7 +63,7 @@ def test_what_critics_cannot_read_is_refused(settings: dict[str, Any], said: str
         KarmanGait(**settings)
 
 
-def test_task_without_senses_is_told_to_give_those_of_critics() -> None:
+def test_task_without_senses_must_give_those_of_critics() -> None:
     class Own(Predation):
         known_senses: ClassVar[Mapping[str, Sense]] = {}
 

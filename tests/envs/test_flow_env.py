@@ -42,6 +42,8 @@ def test_set_seed_repeats_random_starts(small_task: Predation) -> None:
     assert not torch.equal(first, second)
     env.set_seed(1)
     assert torch.equal(env.reset()["observation"], first)
+    with pytest.raises(ValueError, match=r"seed = 'a': must be a valid integer"):
+        env.set_seed("a")  # type: ignore[arg-type]
     env.set_seed(None)
     assert torch.equal(env.reset()["observation"], make_flows(small_task, 3).reset()["observation"])
 

@@ -46,7 +46,7 @@ def test_reward_is_the_efficiency_or_minus_10_on_failure() -> None:
         assert earn(**end) == [0.0, -10.0]
 
 
-def test_start_in_the_sponge_is_told_where_the_water_ends() -> None:
+def test_start_in_the_sponge_is_refused_with_the_end_of_the_water() -> None:
     task = Follower(levels=2)
     starts = task.sample_starts(1, torch.Generator())
     starts["head"][:, 0] = task.flow_config().width - 3.0

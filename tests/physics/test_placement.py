@@ -79,14 +79,26 @@ def test_readable_steps_refuse_the_places_that_a_reset_refuses(skin: Skin, level
         width=129, height=97, tau=0.8, bodies=(Cylinder(diameter=8),), skin=skin, levels=levels
     )
     solver, params = InPlaceSolver(config=flow, compile=False), make_params([flow])
-    random, told = torch.Generator().manual_seed(levels), []
+    random, noted = torch.Generator().manual_seed(levels), []
     for place in torch.rand(16, 2, generator=random, dtype=torch.float64) * 160.0 - 20.0:
         body = place_body(*place.tolist())
         start = make_patches(FlowState(make_rest(flow, 1), (body,)), flow, params)
         reset = tell(partial(solver.reset_, torch.tensor([True]), body.position))
         assert tell(partial(simulate, start, flow, params, num_steps=2)) == reset
-        told.append(reset)
-    assert len(set(told)) == 2
+        noted.append(reset)
+    assert len(set(noted)) == 2
+
+
+def test_simulate_refuses_populations_of_another_grid_and_too_small_a_tau() -> None:
+    flow = FlowConfig(width=48, height=40, tau=0.6)
+    start, params = FlowState(make_rest(flow, 1)), make_params([flow])
+    for wrong, message in (
+        ({"state": FlowState(start.f[..., :30])}, r"f has shape \(1, 9, 40, 30\)"),
+        ({"params": params._replace(tau=params.tau - 0.4)}, "tau = 0.2.* outside the validated"),
+    ):
+        given = {"state": start, "config": flow, "params": params, "num_steps": 2, **wrong}
+        with pytest.raises(ValueError, match=message):
+            simulate(**given)
 
 
 def tell(call: Callable[[], object]) -> str:

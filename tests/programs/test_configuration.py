@@ -82,7 +82,7 @@ def test_malformed_overrides_are_one_line_errors(argument: str) -> None:
         (["preset=quick", "preset=paper"], "preset=quick, preset=paper: must be one"),
     ],
 )  # fmt: skip
-def test_word_of_another_place_or_given_twice_is_told(words: list[str], said: str) -> None:
+def test_word_of_another_place_or_given_twice_is_refused(words: list[str], said: str) -> None:
     with pytest.raises(ValueError, match=re.escape(said)):
         read(words)
 

@@ -66,6 +66,9 @@ def test_sweep_plans_jobs() -> None:
     assert [(job.name, job.seed, job.flows.num_envs, job.folder) for job in planned] == expected
     files = [name for name in list_names("preset") if name.startswith("gait")]
     assert len(plan_jobs(["preset=glob(gait*)"])[1]) == len(files)
+    assert [job.settings.seed for job in plan_jobs(["seed=0,1,0"])[1]] == [0, 1]
+    with pytest.raises(ValueError, match="a setting has no values to sweep over"):
+        plan_jobs(["seed=range(0,0)"])
 
 
 def test_jobs_of_nested_lists_have_a_folder_each() -> None:
@@ -293,7 +296,7 @@ def test_sweeps_have_folders_of_their_own(tmp_path: Path, monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize("gamma", [0.99, 0.5])
 @pytest.mark.parametrize("phase", ["before", "locked", "written", "held", "finished"])
-def test_job_of_another_sweep_in_the_same_folder_is_told_apart_in_any_phase(
+def test_job_of_another_sweep_in_the_same_folder_is_kept_apart_in_any_phase(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, phase: str, gamma: float
 ) -> None:
     """The other one has gamma = 0.99; this one begins a run only if the other has not begun."""

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
+from fishrl.envs import Predation
 from fishrl.envs.streams import Stream
-from fishrl.physics import Ellipse
+from fishrl.physics import Boundaries, Ellipse, Periodic
 from fishrl.settings import REQUIRED, FieldErrors, Role, Settings, list_fields
 
 
@@ -57,6 +58,9 @@ def test_right_values_are_kept_with_python_types(name: str, value: Any, kept: An
         (lambda: Ellipse(24, 12), r"such as Ellipse\(length=24, width=12\)"),
         (lambda: Ellipse(angle=20), "InPlaceSolver.reset_ places it, heading in radians"),
         (lambda: Stream(speeds_bl=0.6), r"must be a list, such as \[0\.6\]"),
+        (lambda: Predation(domain_bl=10), r"must be a list, such as \[10, 10\]"),
+        (lambda: Boundaries(left="inlet"), r"OpenEdge\(\.\.\.\) or .*Periodic\(\.\.\.\)"),
+        (lambda: Boundaries(left=Periodic), r"must be an object, such as Periodic\(\.\.\.\)"),
     ],
 )
 def test_an_error_says_how_to_write_it(call: Callable[[], Any], message: str) -> None:

@@ -13,7 +13,7 @@ from pydantic import Field, PositiveInt
 
 import fishrl
 from fishrl.settings import FieldErrors, checked
-from fishrl.settings.base import find_schema
+from fishrl.settings.base import Arguments, find_schema
 
 
 class Pair(NamedTuple):
@@ -76,7 +76,8 @@ def test_every_wrong_argument_has_its_line() -> None:
 
 @pytest.mark.parametrize("function", list(list_checked()))
 def test_public_functions_refuse_an_argument_of_no_kind_by_its_name(function: Any) -> None:
-    fields = find_schema(inspect.unwrap(function), without=("self", "cls")).__pydantic_fields__
+    schema = find_schema(inspect.unwrap(function), without=("self", "cls"), bases=(Arguments,))
+    fields = schema.__pydantic_fields__
     wrong = {
         name: object()
         for name, info in fields.items()

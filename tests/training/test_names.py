@@ -7,7 +7,7 @@ from fishrl.settings import FieldErrors
 from fishrl.training import RunSettings, baseline
 
 
-@pytest.mark.parametrize("name", ["", ".", "..", "../other", "/tmp/other", "a/b", "a\\b"])
+@pytest.mark.parametrize("name", ["", ".", "..", "../other", "/other", "a/b", "a\\b"])
 def test_name_of_a_run_stays_in_its_folder(name: str) -> None:
     with pytest.raises(FieldErrors, match=r"^name = "):
         RunSettings(name=name)

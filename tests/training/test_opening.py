@@ -32,7 +32,7 @@ def test_baseline_with_wakes_is_checked_without_developing_them(tmp_path: Path) 
     assert not list(tmp_path.iterdir())
 
 
-def test_wrong_observation_size_is_told_before_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_observation_size_is_refused_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     class Wrong(Predation):
         n_obs: ClassVar[int] = 5
 
